@@ -5,8 +5,6 @@
 #![doc = include_str!("../docs/scene-scripts.md")]
 
 #[doc(inline)]
-pub use presight_files::preparation::lost_features;
-#[doc(inline)]
 pub use presight_model::environment::{
     Appearance, ContentHash, DEFAULT_TOLERANCE, Environment, Mark, MarkKind, Material, Mesh, NewObject, Object,
     Polygon, PolygonOrder,
@@ -14,4 +12,4 @@ pub use presight_model::environment::{
 #[doc(inline)]
 pub use presight_model::geometry::Aabb;
 #[doc(inline)]
-pub use presight_model::index::{IndexKind, Params as IndexParams};
+pub use presight_model::index::{IndexKind, Params as IndexParams, SplitAxis};

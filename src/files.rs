@@ -4,8 +4,6 @@
 #[doc(inline)]
 pub use presight_files::camera_info::read as read_camera_info;
 #[doc(inline)]
-pub use presight_files::cloud::read as read_cloud;
-#[doc(inline)]
 pub use presight_files::corridor::read as read_corridor;
 #[doc(inline)]
 pub use presight_files::costs::{read as read_costs, write as write_costs};
@@ -14,11 +12,11 @@ pub use presight_files::depth_folder::{DepthFolder, camera_json, image_name, pos
 #[doc(inline)]
 pub use presight_files::exr::{Attributes as ExrAttributes, ImageFile, read as read_exr, write as write_exr};
 #[doc(inline)]
-pub use presight_files::gltf::{ImportOptions, import as import_gltf, import_bytes as import_gltf_bytes, write_glb};
+pub use presight_files::gltf::{ImportOptions, write_glb};
 #[doc(inline)]
 pub use presight_files::layer::{
     LayerFile, entry as layer_entry, parse as parse_layer, read as read_layer, schema as layer_schema,
-    to_fields as layer_fields, to_string as layer_to_string, write as write_layer,
+    serializable as layer_fields, to_string as layer_to_string, write as write_layer,
     write_with_lost as write_layer_with_lost,
 };
 #[doc(inline)]
@@ -26,10 +24,9 @@ pub use presight_files::log::lines::{header as range_log_header, line as range_l
 #[doc(inline)]
 pub use presight_files::log::{Frames as LogFrames, LogFrame, Observation, Readings, read_frame};
 #[doc(inline)]
-pub use presight_files::npy::{
-    Values as NpyValues, header as npy_header, image_shape as npy_shape, write as write_npy_values,
-    write_image as write_npy, write_rays as write_rays_npy,
-};
+pub use presight_files::npy::{image_shape as npy_shape, write_image as write_npy, write_rays as write_rays_npy};
+#[doc(inline)]
+pub use presight_files::npy_stack::NpyStack;
 #[doc(inline)]
 pub use presight_files::pcd::write as write_pcd;
 #[doc(inline)]
@@ -41,7 +38,9 @@ pub use presight_files::prediction_json::{
     Header as PredictionHeader, to_string as prediction_to_json, write as write_prediction_json,
 };
 #[doc(inline)]
-pub use presight_files::preparation::{SceneFrame, Up, mesh_of_triangles};
+pub use presight_files::preparation::{
+    ImportReport, Problem, ProblemKind, SceneFrame, Up, lost_features, mesh_of_triangles,
+};
 #[doc(inline)]
 pub use presight_files::sensor_toml::{
     parse as parse_sensor_toml, read as read_sensor_toml, to_string as sensor_to_toml,
@@ -52,4 +51,4 @@ pub use presight_files::tum::{
     stream_with_stamps as stream_tum_with_stamps,
 };
 #[doc(inline)]
-pub use presight_files::{files_named_by, load_rectified, load_robot, load_sensor, not_built};
+pub use presight_files::{Robot, files_named_by, load_rectified, load_robot, load_sensor, not_built};

@@ -110,14 +110,18 @@
 #![doc = include_str!("../docs/history.md")]
 
 #[doc(inline)]
-pub use presight_localize::estimate::{Estimate, EstimateOptions, Estimator, Freedom, Preset, nees};
+pub use presight_localize::estimate::{
+    Estimate, EstimateOptions, EstimateState, Estimator, Freedom, Hypothesis, SeenDeviation, WeakDirection, nees,
+};
 #[doc(inline)]
-pub use presight_localize::extract::{FeatureClass, Findings, is_sought};
+pub use presight_localize::extract::{FeatureClass, FeatureFinding, FeatureFindings, is_sought};
 #[doc(inline)]
 pub use presight_localize::history::{AlternatingTracker, ImageExtent, Seed, Source, Tracker, TrackerOptions};
 #[doc(inline)]
 pub use presight_localize::localize::{
-    Candidate, ErrorRates, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step,
+    Candidate, ErrorRates, LocalizeOptions, Localizer, MotionNoise, Phase, Search, SearchOptions, Step,
 };
 #[doc(inline)]
-pub use presight_localize::matching::{Detection, DetectionProperties, ExpectedProperties, Matcher, Shape};
+pub use presight_localize::matching::{
+    Detection, DetectionProperties, ExpectedProperties, Marker, PropertyNoise, Shape, UncertainValue,
+};

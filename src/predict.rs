@@ -28,10 +28,12 @@ pub use presight_predict::free_poses::free_poses;
 #[doc(inline)]
 pub use presight_render::cost::CostModel;
 #[doc(inline)]
-pub use presight_render::deadline::{DeadlineOutcome, Degradation, Priority};
+pub use presight_render::deadline::{
+    DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Priority, Wave,
+};
 #[doc(inline)]
 pub use presight_render::plan::{
-    CountName, Maker, SampleKind, Samples, SamplesMut, StageName, StageRow, StageVariant, Work,
+    CountName, Omission, Part, Samples, SamplesMut, StageName, StageRow, StageVariant, Work,
 };
 #[doc(inline)]
 pub use presight_render::points::{PointCloud, PointsFrame};

@@ -2,6 +2,7 @@
 
 #[doc(inline)]
 pub use presight_supervise::query::{
-    Dock, Doubt, FloorPath, NearestSurface, ObjectFound, PathOptions, Place, UncertainFeature, UncertainObject,
-    UncertainOptions, docks, find_path, objects_in, surface_distance, uncertain_features, uncertain_objects,
+    Dock, FloorPath, NearestSurface, ObjectFound, PathOptions, Place, UncertainFeature, UncertainObject,
+    UncertainOptions, Uncertainty, docks, find_path, objects_in, surface_distance, uncertain_features,
+    uncertain_objects,
 };

@@ -3,5 +3,7 @@
 
 #[doc(inline)]
 pub use presight_predict::virtual_sensors::{
-    Answer, Corridor, CorridorFrame, Mask, Settings, View, VirtualReading, VirtualSensor,
+    Answer, Corridor, CorridorFrame, DepthImage, Directions, Docking, Edge, Edges, FloorRegion, FreeFloor, InCorridor,
+    Landmark, Landmarks, Mask, MaskRegion, Nearest, NearestPoint, RadarLine, RadarLines, Settings, Unobservable,
+    VerticalPlane, VerticalPlanes, View, ViewIds, VirtualReading, VirtualSensor,
 };

@@ -5,13 +5,13 @@ use super::outputs::check_no_dash;
 use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
 use super::sensor_args::SensorArgs;
 use super::series::SeriesProgress;
-use super::{CommandOutcome, bar, folder, open_scene, print};
+use super::{CommandOutcome, bar, open_scene, print};
 use presight::environment::IndexKind;
 use presight::files::{self, ImportOptions, files_named_by};
 use presight::measured::{Frame, Measurement};
 use presight::predict::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};
 use presight::sensor::ExternalPose;
-use presight::tools::{self, write_atomically};
+use presight::tools::{self, create_folder, write_atomically};
 use presight::{
     Backend, Error, IdScheme, ImageRequest, Output, Outputs, Pose, Predictor, Raster, Result, Scene, Sensor, Threads,
     blake3_of,
@@ -138,7 +138,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     request.height = Some(poses.first.translation.z);
     let items = args.items(poses.count);
     args.check_inputs(&scene.files)?;
-    folder::ready(&args.out)?;
+    create_folder(&args.out)?;
     let record = args.job(&scene, &sensor, &poses)?;
     let chosen =
         check_job(&args.out, &record, Choice { backend: args.engine.backend(), raster: args.engine.raster() })?;

@@ -2,12 +2,13 @@
 
 use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
-use super::{CommandOutcome, folder, open_scene, print};
+use super::pose_series::read_poses;
+use super::{CommandOutcome, open_scene, print};
 use presight::environment::{IndexKind, IndexParams};
 use presight::files::{ImportOptions, load_sensor};
 use presight::predict::free_poses;
 use presight::sensor::PRESETS;
-use presight::tools::write_atomically;
+use presight::tools::{create_folder, write_atomically};
 use presight::{Backend, Options, Pose, Result, Threads, preset};
 use presight_studies::index::Scheme;
 use presight_studies::index_study::{self, Row, Study};
@@ -95,7 +96,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         }
         None => PRESETS.iter().map(|p| Ok((p.name.to_owned(), preset(p.name)?))).collect::<Result<_>>()?,
     };
-    let given = args.poses.as_deref().map(folder::poses).transpose()?;
+    let given = args.poses.as_deref().map(read_poses).transpose()?;
     let scene = open_scene(&args.scene, &import, IndexKind::default())?;
     let world = scene.world;
     let seed = given.is_none().then_some(args.seed);
@@ -105,7 +106,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     };
     index_study::check_poses(&poses)?;
     files.check_scene(&scene.files)?;
-    args.out.as_deref().map(folder::ready).transpose()?;
+    args.out.as_deref().map(create_folder).transpose()?;
     let count = poses.len();
     let options = Options::new(Backend::Cpu).with_threads(threads);
     let study = Study { poses, sensors, options, repeats: args.repeat as usize };

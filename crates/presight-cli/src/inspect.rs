@@ -3,7 +3,7 @@
 use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::{CommandOutcome, flags, print};
-use presight::environment::{Aabb, Appearance, Environment, IndexKind, Material, Object, lost_features};
+use presight::environment::{Aabb, Appearance, Environment, IndexKind, Material, Object};
 use presight::{Error, Pose, Result, Scene};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};

@@ -2,12 +2,12 @@
 
 use super::outputs::OutputFiles;
 use super::sensor_args::SensorArgs;
-use super::{CommandOutcome, folder, open_scene};
+use super::{CommandOutcome, open_scene};
 use presight::environment::IndexKind;
 use presight::files::{self, ImportOptions, LogFrame, StampedPose, load_sensor};
 use presight::measured::Frame;
 use presight::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
-use presight::tools::write_atomically;
+use presight::tools::{create_folder, write_atomically};
 use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, Scene, Sensor, Threads};
 use presight_pictures as png;
 use std::io::{BufWriter, Write};
@@ -126,7 +126,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let path: Vec<Pose> = poses.iter().map(|p| p.pose).collect();
     let walkers = Walkers::new(&mut scene.world, &path, args.height, args.walkers, args.seed)?;
     files.check_scene(&scene.files)?;
-    folder::ready(&args.out)?;
+    create_folder(&args.out)?;
     let mut next = |scene: &mut Scene, pose: &StampedPose| {
         walkers.walk(&mut scene.world, pose.time)?;
         simulator.frame(&scene.world, pose.time, &pose.pose)
@@ -134,9 +134,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     match &camera {
         None => write_scans(&args.out.join(SCANS), &sensor, &poses, |pose| next(&mut scene, pose))?,
         Some(camera) => {
-            folder::ready(&args.out.join("depth"))?;
+            create_folder(&args.out.join("depth"))?;
             if grey.is_some() {
-                folder::ready(&args.out.join("grey"))?;
+                create_folder(&args.out.join("grey"))?;
             }
             let mut odometry =
                 String::from("# time tx ty tz qx qy qz qw: the robot by its odometry, body axes, z up, metres\n");

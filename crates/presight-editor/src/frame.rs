@@ -4,7 +4,6 @@ use super::answer::{Answer, Body, pose_of, six_of};
 use super::session::Session;
 use presight::features::{BoxOptions, FeatureOptions, Hidden, PlacedFeatures, SeenFeature};
 use presight::predict::Samples;
-use presight::sensor::ImagePart;
 use presight::{Error, Images, Output, Outputs, Pose, Prediction, Request, Result};
 use presight_pictures::{Overlay, Screen, Stroke, Style};
 use serde::Deserialize;
@@ -71,7 +70,7 @@ impl Session {
         }
         let sensor = match request.stride {
             1 => self.sensor.clone(),
-            2 | 4 | 8 => self.sensor.part(ImagePart { stride: request.stride, ..self.sensor.whole() })?,
+            2 | 4 | 8 => self.sensor.thinned(request.stride)?,
             n => return Err(Error::usage(format!("a stride of {n}"), "give 1, 2, 4 or 8")),
         };
         let with_features = request.features && self.sensor.check_projection().is_ok() && request.stride == 1;

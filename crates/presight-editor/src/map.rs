@@ -143,7 +143,7 @@ impl WorthMap {
             *held += size_of_val(&told[..]) as u64;
             if *held > *granted {
                 *granted = 2 * (*held).max(A_LOT);
-                tools::require(*granted)?;
+                tools::require_memory(*granted)?;
             }
             Ok(())
         })?;

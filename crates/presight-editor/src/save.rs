@@ -59,7 +59,7 @@ impl Target {
             return Ok(Self::File { path: path.clone(), text: Some(read(path)?) });
         }
         let is_store = scene.extension().is_some_and(|e| e.eq_ignore_ascii_case("presight"));
-        if is_store || tools::starts_with(scene, SQLITE) {
+        if is_store || tools::file_starts_with(scene, SQLITE) {
             return Ok(Self::Store { path: scene.to_owned(), changes: changes_of(scene)? });
         }
         let stem = scene.file_stem().unwrap_or_default().to_string_lossy();
@@ -92,7 +92,7 @@ impl Target {
 }
 
 fn read(path: &Path) -> Result<String> {
-    let bytes = tools::read(tools::open(path)?, path, tools::MAX_FILE_BYTES)?;
+    let bytes = tools::read_file(tools::open_file(path)?, path, tools::MAX_FILE_BYTES)?;
     String::from_utf8(bytes).map_err(|_| Error::invalid("it is not UTF-8", "write it as UTF-8 text").in_file(path))
 }
 

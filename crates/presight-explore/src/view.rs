@@ -72,6 +72,7 @@ impl Views {
     }
 
     /// The measurements.
+    #[doc(hidden)]
     pub fn all(&self) -> &[View] {
         &self.views
     }

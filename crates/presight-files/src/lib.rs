@@ -17,6 +17,7 @@ mod load;
 pub mod log;
 pub mod materials;
 pub mod npy;
+pub mod npy_stack;
 pub mod pcd;
 pub mod ply;
 mod point_fields;

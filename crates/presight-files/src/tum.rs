@@ -62,7 +62,7 @@ pub fn parse_with_stamps(text: &str) -> Result<Vec<(&str, StampedPose)>> {
 }
 
 /// Poses of a file, read line by line.
-pub struct Stream {
+struct Stream {
     path: PathBuf,
     reader: BufReader<Take<File>>,
     line: usize,
@@ -73,7 +73,7 @@ pub struct Stream {
 ///
 /// # Errors
 /// As for opening a file; pipes are refused, because callers read the file twice.
-pub fn stream(path: &Path) -> Result<Stream> {
+pub fn stream(path: &Path) -> Result<impl Iterator<Item = Result<StampedPose>> + use<>> {
     Ok(Stream::new(path, file::open(path)?))
 }
 

@@ -50,7 +50,7 @@ pub use line::apply_line;
 pub use log::LogEntry;
 pub use op::pose_of;
 pub use scene::{Existing, SceneMerge};
-pub use write::{Batch, Note};
+pub use write::{ChangeBatch, Note};
 
 use presight_files::layer::LayerFile;
 use presight_model::change::Change;
@@ -317,9 +317,9 @@ impl Store {
     ///
     /// # Errors
     /// [`ErrorKind::System`] if another writer has changed or locked the store since the last batch.
-    pub fn batch(&mut self) -> Result<Batch<'_>> {
+    pub fn batch(&mut self) -> Result<ChangeBatch<'_>> {
         self.lock()?;
-        Ok(Batch::new(self))
+        Ok(ChangeBatch::new(self))
     }
 
     /// Lets other programs write until the next batch begins. If one did, that batch is refused.

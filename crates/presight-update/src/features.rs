@@ -7,7 +7,7 @@ use crate::sightings::{Kind, Sighting, Track, Tracks, place_of};
 use crate::view::BOUND;
 use glam::{DMat3, DVec3};
 use presight_files::layer::to_fields;
-use presight_localize::extract::{FeatureClass, FeatureFinding, Findings};
+use presight_localize::extract::{FeatureClass, FeatureFinding, FeatureFindings};
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::Frame;
@@ -77,7 +77,7 @@ fn pose_of(environment: &Environment, feature: &Feature) -> Pose {
 }
 
 /// The looks of one image. What fails together fails for one reason, such as a dark image, and says nothing.
-pub(crate) fn looks_of(frame: &Frame, findings: &Findings, pose: &PoseEstimate, known: &Known<'_>) -> Looked {
+pub(crate) fn looks_of(frame: &Frame, findings: &FeatureFindings, pose: &PoseEstimate, known: &Known<'_>) -> Looked {
     let eye = Eye::new(frame.sensor(), pose);
     let class = &frame.sensor().spec().class;
     let mut looks: BTreeMap<u32, Look> = BTreeMap::new();
@@ -366,7 +366,7 @@ mod tests {
             let detection = presight_localize::matching::Detection::point(glam::DVec2::ZERO, 0.5);
             looks_of(
                 &scan(),
-                &Findings { features, detections: vec![detection], ..Findings::default() },
+                &FeatureFindings { features, detections: vec![detection], ..FeatureFindings::default() },
                 &exact(),
                 &known,
             )

@@ -197,6 +197,7 @@ impl Learner {
     }
 
     /// What pixels of believed views say of an object: why it is decided, or not. `None` if no ray met it.
+    #[doc(hidden)]
     pub fn pixels(&self, world: &World, object: &str) -> Option<Pixels> {
         self.book.pixels.get(&world.environment().index_of(object).ok()?).copied()
     }

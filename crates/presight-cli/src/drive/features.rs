@@ -2,7 +2,7 @@
 
 use super::Drive;
 use presight::features::{FeatureShape, PlacedFeatures};
-use presight::localize::{FeatureClass, Findings, is_sought};
+use presight::localize::{FeatureClass, FeatureFindings, is_sought};
 use presight::measured::Frame;
 use presight::sensor::Geometry;
 use presight::{Error, Result, Scene, Sensor};
@@ -18,7 +18,7 @@ pub struct FeatureCounts {
 
 impl FeatureCounts {
     /// Sums over all images in which features were searched; `None` without one.
-    pub fn of(findings: &[Findings]) -> Option<Self> {
+    pub fn of(findings: &[FeatureFindings]) -> Option<Self> {
         let count = |name: &str| findings.iter().map(|f| f.count(name)).sum();
         let only_found = findings.iter().map(|f| f.only_found.len()).sum();
         (!findings.is_empty()).then(|| Self { classes: FeatureClass::NAMES.map(count), only_found })

@@ -66,7 +66,7 @@ pub fn run(args: &Args) -> Result<()> {
     let (input, folder): (Box<dyn Read>, &Path) = if from_stdin {
         (Box::new(std::io::stdin()), Path::new("."))
     } else {
-        (Box::new(tools::open_any(&args.changes, &args.changes)?), args.changes.parent().unwrap_or(Path::new(".")))
+        (Box::new(tools::open_stream(&args.changes, &args.changes)?), args.changes.parent().unwrap_or(Path::new(".")))
     };
     let mut store = open_store(&args.store)?;
     store.begin_row();

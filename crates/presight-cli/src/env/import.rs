@@ -74,13 +74,13 @@ pub fn run(args: &Args) -> Result<()> {
         }
     };
     if let Some(scene) = &scene {
-        tools::require(tools::of_writing(scene.objects().iter().map(|o| o.mesh.polygon_count() as u64)))?;
+        tools::require_memory(tools::memory_of_writing(scene.objects().iter().map(|o| o.mesh.polygon_count() as u64)))?;
     }
     let mut store = open_store(path)?;
     // Features that have already lost their surface in the imported file or store are accepted.
     let lost = match (&layer, &scene) {
         (Some(file), _) => file.lost.iter().map(|id| (file.layer.class.clone(), *id)).collect(),
-        (None, Some(scene)) => features::lost(scene).map_err(|e| e.in_file(file))?,
+        (None, Some(scene)) => features::lost_features(scene).map_err(|e| e.in_file(file))?,
         (None, None) => Vec::new(),
     };
     let (mut changes, mut notes) = (Vec::new(), Vec::new());

@@ -171,7 +171,7 @@ fn create(store: &Path, scene: &Path, frame: &FrameArgs, note: &NoteArgs) -> Res
     let (environment, lay, scene_files) = environment_of(scene, frame)?;
     note.cause += &lay;
     let polygons = environment.objects().iter().map(|o| o.mesh.polygon_count() as u64);
-    tools::require(tools::of_writing(polygons))?;
+    tools::require_memory(tools::memory_of_writing(polygons))?;
     files.check_scene(&scene_files)?;
     store::create(store, &environment, &note)?;
     print::data(&format!("{} objects, content {}\n", show::live(&environment).count(), environment.content_hash()))

@@ -2,7 +2,7 @@
 
 use super::stale::Stale;
 use crate::print;
-use presight::environment::{Environment, Mark, Object, lost_features};
+use presight::environment::{Environment, Mark, Object};
 use presight::features::Existence;
 use presight::store;
 use presight::store::LogEntry;

@@ -21,7 +21,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let mut predictor = Predictor::new(job.options)?;
     args.deadline.read_costs(&mut predictor)?;
     let frame = args.memory(&sensor, &request, &predictor);
-    tools::require(frame.bytes())?;
+    tools::require_memory(frame.bytes())?;
     let scene = args.open(&job.import)?;
     let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
     let mut layers = args.layers.load(&scene, &sensor, args.asked())?;
@@ -32,7 +32,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request));
     let settings = args.virtual_sensor.settings(&scene, &sensor, &world_from_sensor, &mut predictor)?;
     // Check again: the scene has taken some of the memory.
-    tools::require(frame.bytes())?;
+    tools::require_memory(frame.bytes())?;
     let start = Instant::now();
     let mut prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;
     let first_ms = start.elapsed().as_secs_f64() * 1e3;

@@ -7,7 +7,7 @@ mod store_of;
 
 use super::drive::Drive;
 use super::outputs::OutputFiles;
-use super::{CommandOutcome, folder, print};
+use super::{CommandOutcome, print};
 use glam::DVec3;
 use known::KnownArgs;
 use looks::{Asked, look_from};
@@ -17,7 +17,7 @@ use presight::localize::Phase;
 #[cfg(feature = "report")]
 use presight::localize::Step;
 use presight::measured::Frame;
-use presight::tools::write_atomically;
+use presight::tools::{create_folder, write_atomically};
 use presight::update::{Action, Finding, Findings, LearnOptions, Learner, Policy, What, change_lines};
 use presight::{Error, InWorld, PoseCovariance, PoseEstimate, Result, Scene, World};
 use std::io::Write;
@@ -139,7 +139,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         print::notices(&(left_out > 0).then_some(told));
     }
     let stamp = learn(&drives, &scene, &mut learner, known.as_ref())?;
-    folder::ready(&args.out)?;
+    create_folder(&args.out)?;
     let mut findings = learner.findings(&scene.world);
     recognizers.improve(&mut learner, &scene.world, &mut findings);
     let utc = args.time.unwrap_or(0.0);

@@ -37,7 +37,7 @@ pub use corners::{CornerOptions, corners_in};
 pub use edges::{EdgeOptions, ExpectedEdge, FoundEdge, edges_near};
 #[cfg(feature = "fiducials")]
 pub use fiducials::FiducialFinder;
-pub use findings::{FeatureFinding, FindOptions, Findings, MeasuredRanges, find_features};
+pub use findings::{FeatureFinding, FeatureFindings, FindOptions, MeasuredRanges, find_features};
 pub use jumps::{JumpOptions, jumps_near};
 pub use reflectors::range_to;
 pub use reflectors::{FoundReflector, ReflectorOptions, reflectors_in};

@@ -37,6 +37,7 @@ pub enum IndexKind {
     /// Spatial-kD tree of objects over one tree per mesh, in the mesh's own frame and shared by its instances.
     TwoLevel(Params),
     /// An index of polygons, also one of your own ([`SpatialIndex`]). The world rebuilds it over its polygons.
+    #[doc(hidden)]
     Polygons(Box<dyn SpatialIndex>),
 }
 

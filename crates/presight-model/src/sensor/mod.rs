@@ -265,6 +265,7 @@ impl Sensor {
     }
 
     /// The rays as engines use them.
+    #[doc(hidden)]
     pub fn grid(&self) -> &PixelGrid {
         &self.0.grid
     }
@@ -285,6 +286,7 @@ impl Sensor {
     }
 
     /// How the rays of a tile lie side by side, without building any.
+    #[doc(hidden)]
     pub fn ray_layout(&self) -> GroupLayout {
         RayTiles::layout_of(self).0
     }
@@ -293,6 +295,7 @@ impl Sensor {
     ///
     /// # Errors
     /// [`ErrorKind::System`] if there is no memory for them.
+    #[doc(hidden)]
     pub fn ray_tiles(&self) -> Result<&RayTiles> {
         if self.0.tiles.get().is_none() {
             let _ = self.0.tiles.set(RayTiles::new(self)?);

@@ -52,6 +52,7 @@ impl World {
     }
 
     /// The first version of a world, with an existing index.
+    #[doc(hidden)]
     pub fn of(index: WorldIndex, environment: Environment) -> Self {
         Self {
             environment: Arc::new(environment),
@@ -81,6 +82,7 @@ impl World {
     }
 
     /// Finds polygons of this version.
+    #[doc(hidden)]
     pub fn index(&self) -> &WorldIndex {
         &self.index
     }

@@ -148,6 +148,7 @@ impl Stats {
     }
 
     /// Records the time since `start` under a stage name.
+    #[doc(hidden)]
     pub fn stage(&mut self, name: StageName, start: Instant) {
         self.stages_ms.push((name, start.elapsed().as_secs_f64() * 1e3));
     }
@@ -163,6 +164,7 @@ impl Stats {
     }
 
     /// Records a stage or image that was not needed.
+    #[doc(hidden)]
     pub fn leave_out(&mut self, what: impl Into<Part>, why: impl Into<Cow<'static, str>>) {
         self.left_out.push(Omission { what: what.into(), why: why.into() });
     }

@@ -14,5 +14,5 @@ pub use docks::{Dock, docks};
 pub use objects::{ObjectFound, Place, objects_in};
 pub use path::{FloorPath, PathOptions, find_path};
 pub use uncertain::{
-    Doubt, UncertainFeature, UncertainObject, UncertainOptions, uncertain_features, uncertain_objects,
+    UncertainFeature, UncertainObject, UncertainOptions, Uncertainty, uncertain_features, uncertain_objects,
 };

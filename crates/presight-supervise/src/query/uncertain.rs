@@ -33,7 +33,7 @@ presight_model::with_options!(
 
 /// Why a feature or an object is uncertain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Doubt {
+pub enum Uncertainty {
     /// A mark says so.
     Marked(MarkKind),
     /// It probably does not exist any more.
@@ -42,7 +42,7 @@ pub enum Doubt {
     NotConfirmed,
 }
 
-impl Doubt {
+impl Uncertainty {
     /// The name in files.
     pub fn name(self) -> &'static str {
         match self {
@@ -71,7 +71,7 @@ pub struct UncertainFeature {
     /// Last confirmation, UTC seconds.
     pub confirmed: f64,
     /// Why it is uncertain.
-    pub doubt: Doubt,
+    pub doubt: Uncertainty,
 }
 
 /// An object that is uncertain.
@@ -88,7 +88,7 @@ pub struct UncertainObject {
     /// Last confirmation, UTC seconds, if one is stored.
     pub confirmed: Option<f64>,
     /// Why it is uncertain.
-    pub doubt: Doubt,
+    pub doubt: Uncertainty,
 }
 
 impl UncertainOptions {
@@ -103,11 +103,11 @@ impl UncertainOptions {
     }
 
     /// Why something with this existence is uncertain; `None` if it is not. `newest` is the time if none is given.
-    fn doubt(&self, existence: &Existence, newest: f64) -> Option<Doubt> {
+    fn doubt(&self, existence: &Existence, newest: f64) -> Option<Uncertainty> {
         if existence.at(self.time.unwrap_or(newest)) < self.least_existence {
-            return Some(Doubt::LowExistence);
+            return Some(Uncertainty::LowExistence);
         }
-        self.since.filter(|since| existence.confirmed < *since).map(|_| Doubt::NotConfirmed)
+        self.since.filter(|since| existence.confirmed < *since).map(|_| Uncertainty::NotConfirmed)
     }
 }
 
@@ -128,7 +128,7 @@ pub fn uncertain_objects(world: &World, options: &UncertainOptions) -> Result<Ve
             class: mark.class.clone(),
             existence: trust.map(|t| t.at(time)),
             confirmed: trust.map(|t| t.confirmed),
-            doubt: Doubt::Marked(mark.kind),
+            doubt: Uncertainty::Marked(mark.kind),
         }
     });
     let doubted = environment.trusts().filter_map(|(object, trust)| {

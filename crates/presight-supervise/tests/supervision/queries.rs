@@ -226,7 +226,7 @@ fn absent_objects_are_not_in_the_way() {
 #[test]
 fn marks_and_little_trust_are_uncertain() {
     use presight_model::environment::{Existence, Mark, MarkKind};
-    use presight_supervise::query::Doubt;
+    use presight_supervise::query::Uncertainty;
     let mut environment = scenes::empty();
     for name in ["old", "new", "gone"] {
         environment.add_cuboid(name, at(0.0, 0.0, 0.0), DVec3::ONE).unwrap();
@@ -237,12 +237,12 @@ fn marks_and_little_trust_are_uncertain() {
     let mark = Mark { object: "gone".to_owned(), kind: MarkKind::Absent, class: None, bounds: None };
     environment.set_mark("m1", mark).unwrap();
     let world = World::new(environment);
-    let found = |options: &UncertainOptions| -> Vec<(String, Doubt)> {
+    let found = |options: &UncertainOptions| -> Vec<(String, Uncertainty)> {
         uncertain_objects(&world, options).unwrap().into_iter().map(|o| (o.object, o.doubt)).collect()
     };
-    let marked = ("gone".to_owned(), Doubt::Marked(MarkKind::Absent));
-    let old = ("old".to_owned(), Doubt::LowExistence);
+    let marked = ("gone".to_owned(), Uncertainty::Marked(MarkKind::Absent));
+    let old = ("old".to_owned(), Uncertainty::LowExistence);
     assert_eq!(found(&UncertainOptions::default()), [marked.clone(), old.clone()]);
     let since = UncertainOptions::default().with_since(Some(30.0));
-    assert_eq!(found(&since), [marked, ("new".to_owned(), Doubt::NotConfirmed), old]);
+    assert_eq!(found(&since), [marked, ("new".to_owned(), Uncertainty::NotConfirmed), old]);
 }
