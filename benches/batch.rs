@@ -11,8 +11,6 @@
 #![allow(missing_docs, reason = "a bench has no interface")]
 #![allow(clippy::print_stdout, reason = "a bench prints a table")]
 
-use presight_files::gltf::{ImportOptions, import};
-use presight_files::log;
 use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Noise, Sensor, SensorSpec};
@@ -21,6 +19,8 @@ use presight_predict::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood}
 use presight_predict::free_poses::free_poses;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
+use presight_read::gltf::{ImportOptions, import};
+use presight_read::log;
 use presight_render::plan::{Images, Output, Outputs};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -112,7 +112,7 @@ fn malaga() {
 }
 
 fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
-    let sensor = noisy(presight_files::preset(preset).expect("a preset").spec());
+    let sensor = noisy(presight_read::preset(preset).expect("a preset").spec());
     let mut predictor = predictor();
     let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
     let asked = Request::of(outputs);
@@ -144,7 +144,7 @@ fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
 
 /// Prints the average time of each stage and the average counts for a pose's image.
 fn stages(name: &str, preset: &str, poses: &[Pose], world: &World) {
-    let sensor = noisy(presight_files::preset(preset).expect("a preset").spec());
+    let sensor = noisy(presight_read::preset(preset).expect("a preset").spec());
     let mut predictor = predictor();
     let range = vec![2.0; (sensor.width() * sensor.height()) as usize];
     let sensed = RangeLikelihood::new(&frame_of(&sensor, range), PoseCell::default()).expect("a valid image");
@@ -171,7 +171,7 @@ fn peak() -> Option<f64> {
 /// Measures memory after few poses and after many: images and weights of a longer batch must need no more.
 fn memory() {
     let world = world("env/factory_hall.glb");
-    let sensor = noisy(presight_files::preset("laser-scanner").expect("a preset").spec());
+    let sensor = noisy(presight_read::preset("laser-scanner").expect("a preset").spec());
     let place = free_poses(&world, 1, 1).expect("a free pose")[0];
     let range = vec![2.0; 361];
     let request = BatchRequest {

@@ -76,7 +76,7 @@ fn change(world: &World, kind: Kind, run: usize) -> Change {
 }
 
 fn measure(world: &mut World, kind: Kind, before: Before) -> Result<f64, Box<dyn Error>> {
-    let sensor = presight_files::preset("laser-scanner")?;
+    let sensor = presight_read::preset("laser-scanner")?;
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
     let mut times = Vec::with_capacity(RUNS);
     for run in 0..RUNS {
@@ -99,7 +99,7 @@ fn measure(world: &mut World, kind: Kind, before: Before) -> Result<f64, Box<dyn
 
 /// By how much the first prediction after a change is longer than the second.
 fn on_device(world: &mut World, kind: Kind) -> Result<(f64, String), Box<dyn Error>> {
-    let sensor = presight_files::preset("laser-scanner")?;
+    let sensor = presight_read::preset("laser-scanner")?;
     let mut predictor = Predictor::new(Options::new(Backend::Auto))?;
     let mut times = Vec::new();
     for run in 0..RUNS / 4 {

@@ -11,9 +11,9 @@
 #[path = "common/scenes.rs"]
 mod scenes;
 
-use presight_files::preset;
 use presight_model::world::World;
 use presight_predict::request::Request;
+use presight_read::preset;
 use presight_render::cpu::CpuEngine;
 use presight_render::plan::{CountName, StageName};
 use presight_render::plan::{FramePlan, Images, Stats};

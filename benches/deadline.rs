@@ -20,12 +20,12 @@ mod figures;
 #[path = "deadline/steadiness.rs"]
 mod steadiness;
 
-use presight_files::gltf::{ImportOptions, import};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
+use presight_read::gltf::{ImportOptions, import};
 use presight_render::deadline::{Clock, SystemClock};
 use presight_render::plan::Stats;
 use std::error::Error;
@@ -82,7 +82,7 @@ impl Setting {
 
 impl Bench {
     fn new(scene: &str, sensor: Option<&String>, setting: &Setting) -> Outcome<Self> {
-        let sensor = presight_files::preset(sensor.map_or("microwave-radar-image", String::as_str))?;
+        let sensor = presight_read::preset(sensor.map_or("microwave-radar-image", String::as_str))?;
         let world = World::new(import(scene, &ImportOptions::default())?.environment);
         let threads = usize::from(setting.by_cpu_time);
         let mut predictor = Predictor::new(Options::new(setting.backend).with_threads(threads))?;

@@ -20,14 +20,14 @@ use presight_features::{
     BoxOptions, FeatureOptions, FeatureSettings, Hidden, Piece, PlacedFeature, Sampler, Visibility, place,
     predict_features,
 };
-use presight_files::gltf::{ImportOptions, import};
-use presight_files::preset;
 use presight_model::environment::FeatureShape;
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
+use presight_read::gltf::{ImportOptions, import};
+use presight_read::preset;
 use presight_render::plan::{Output, Outputs};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -7,13 +7,13 @@
 use glam::{DVec2, DVec3, Vec3};
 use parry3d_f64::bounding_volume::Aabb as ParryBox;
 use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode, TraversalAction};
-use presight_files::gltf::{ImportOptions, import};
 use presight_model::change::Change;
 use presight_model::environment::{CUBOID_FACES, cuboid_corners};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::geometry::{Aabb, Pose};
 use presight_model::index::{IndexKind, Params, QueryResult, Rect, Region, Sector, SpatialIndex, WorldIndex};
 use presight_model::world::World;
+use presight_read::gltf::{ImportOptions, import};
 use presight_studies::index::Scheme;
 use rstar::{AABB, RTree, RTreeObject, SelectionFunction};
 use std::f64::consts::TAU;

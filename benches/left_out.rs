@@ -6,8 +6,6 @@
 
 use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{BoxOptions, FeatureOptions, PlacedFeatures, place};
-use presight_files::gltf::{ImportOptions, import};
-use presight_files::preset;
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::geometry::Pose;
 use presight_model::index::IndexKind;
@@ -18,6 +16,8 @@ use presight_predict::free_poses::free_poses;
 use presight_predict::gpu::testing::{self, Setup};
 use presight_predict::predict::{Backend, Options, Prediction, Predictor};
 use presight_predict::request::Request;
+use presight_read::gltf::{ImportOptions, import};
+use presight_read::preset;
 use presight_render::plan::{Output, Outputs, Stats};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -18,13 +18,13 @@ mod scenes;
 
 use cameras::SIZE;
 use cpu_time::ProcessTime;
-use presight_files::preset;
 use presight_model::geometry::Pose;
 use presight_model::sensor::PixelGrid;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
+use presight_read::preset;
 use std::time::Instant;
 
 fn median(mut values: Vec<f64>) -> f64 {

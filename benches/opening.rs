@@ -33,7 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR"))?;
     let path = folder.path().join("hospital.presight");
-    let environment = presight_files::gltf::import(scene, &Default::default())?.environment;
+    let environment = presight_read::gltf::import(scene, &Default::default())?.environment;
     store::create(&path, &environment, &Note::new("bench", 0.0))?;
     let mut times = MODES.map(|_| Vec::with_capacity(TURNS));
     for _ in 0..TURNS {

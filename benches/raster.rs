@@ -15,14 +15,14 @@ mod drive;
 mod scenes;
 
 use cpu_time::ProcessTime;
-use presight_files::gltf::{ImportOptions, import};
-use presight_files::preset;
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::free_poses::free_poses;
 use presight_predict::gpu::{DeviceOptions, GpuEngine};
 use presight_predict::request::Request;
+use presight_read::gltf::{ImportOptions, import};
+use presight_read::preset;
 use presight_render::plan::{CountName, StageName};
 use presight_render::plan::{FramePlan, Images, Raster, Stats};
 use std::path::{Path, PathBuf};

@@ -8,12 +8,12 @@
 #![expect(clippy::print_stdout, reason = "a bench prints its figures")]
 
 use glam::DVec3;
-use presight_files::gltf::{ImportOptions, import};
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
+use presight_read::gltf::{ImportOptions, import};
 use presight_render::plan::{FramePlan, ImageRequest, Images, Output};
 use presight_render::reference;
 use std::path::{Path, PathBuf};

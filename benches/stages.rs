@@ -7,13 +7,13 @@
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use glam::{DMat3, DVec3};
 use presight_features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
-use presight_files::gltf::{ImportOptions, import};
-use presight_files::preset;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::geometry::Pose;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
+use presight_read::gltf::{ImportOptions, import};
+use presight_read::preset;
 use presight_render::plan::FramePlan;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
@@ -66,7 +66,7 @@ fn importing(c: &mut Criterion) {
 fn script(c: &mut Criterion) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
     let environment = || {
-        let loaded = presight_files::script::load(&path, &ImportOptions::default(), &mut |_| {});
+        let loaded = presight_read::script::load(&path, &ImportOptions::default(), &mut |_| {});
         loaded.unwrap_or_else(|e| panic!("{e}")).environment
     };
     let mut group = c.benchmark_group("script");

@@ -74,7 +74,7 @@ fn opening(c: &mut Criterion) {
     let Some(scene) = hospital() else { return };
     let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
     let path: &Path = &folder.path().join("hospital.presight");
-    let environment = presight_files::gltf::import(scene, &Default::default()).expect("it imports").environment;
+    let environment = presight_read::gltf::import(scene, &Default::default()).expect("it imports").environment;
     store::create(path, &environment, &Note::new("bench", 0.0)).expect("a store");
     let kind = IndexKind::default();
     let mut group = c.benchmark_group("hospital");

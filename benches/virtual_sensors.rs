@@ -9,8 +9,6 @@ use common::fastest;
 use glam::DVec3;
 use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{FeatureOptions, PlacedFeature, place};
-use presight_files::preset;
-use presight_files::{gltf, script};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -18,6 +16,8 @@ use presight_predict::free_poses::free_poses;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
 use presight_predict::virtual_sensors::{Corridor, Settings, View, VirtualSensor};
+use presight_read::preset;
+use presight_read::{gltf, script};
 use presight_render::plan::Output;
 use std::path::{Path, PathBuf};
 

@@ -15,11 +15,11 @@ mod scenes;
 
 use cpu_time::ProcessTime;
 use glam::DVec3;
-use presight_files::preset;
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::request::Request;
+use presight_read::preset;
 use presight_render::cpu::{CpuEngine, Vectors};
 use presight_render::plan::{ChosenWay, CountName, FramePlan, Images, Output, PlanBuffers, Samples, Stats, Way};
 use presight_render::verify::{PixelValues, Precision, compare_values};

@@ -2,27 +2,27 @@
 #![doc = include_str!("../docs/formats.md")]
 
 #[doc(inline)]
-pub use presight_files::camera_info::read as read_camera_info;
+pub use presight_read::camera_info::read as read_camera_info;
 #[doc(inline)]
 pub use presight_files::corridor::read as read_corridor;
 #[doc(inline)]
 pub use presight_files::costs::{read as read_costs, write as write_costs};
 #[doc(inline)]
-pub use presight_files::depth_folder::{DepthFolder, camera_json, image_name, poses_txt};
+pub use presight_read::depth_folder::{DepthFolder, camera_json, image_name, poses_txt};
 #[doc(inline)]
 pub use presight_files::exr::{Attributes as ExrAttributes, ImageFile, read as read_exr, write as write_exr};
 #[doc(inline)]
-pub use presight_files::gltf::{ImportOptions, write_glb};
+pub use presight_read::gltf::{ImportOptions, write_glb};
 #[doc(inline)]
-pub use presight_files::layer::{
+pub use presight_read::layer::{
     LayerFile, entry as layer_entry, parse as parse_layer, read as read_layer, schema as layer_schema,
     serializable as layer_fields, to_string as layer_to_string, write as write_layer,
     write_with_lost as write_layer_with_lost,
 };
 #[doc(inline)]
-pub use presight_files::log::lines::{header as range_log_header, line as range_log_line};
+pub use presight_read::log::lines::{header as range_log_header, line as range_log_line};
 #[doc(inline)]
-pub use presight_files::log::{Frames as LogFrames, LogFrame, Observation, Readings, read_frame};
+pub use presight_read::log::{Frames as LogFrames, LogFrame, Observation, Readings, read_frame};
 #[doc(inline)]
 pub use presight_files::npy::{image_shape as npy_shape, write_image as write_npy, write_rays as write_rays_npy};
 #[doc(inline)]
@@ -32,23 +32,23 @@ pub use presight_files::pcd::write as write_pcd;
 #[doc(inline)]
 pub use presight_files::ply::write as write_ply;
 #[doc(inline)]
-pub use presight_files::pose_covariance::{file as pose_covariance_file, parse as parse_pose_covariance};
+pub use presight_read::pose_covariance::{file as pose_covariance_file, parse as parse_pose_covariance};
 #[doc(inline)]
 pub use presight_files::prediction_json::{
     Header as PredictionHeader, to_string as prediction_to_json, write as write_prediction_json,
 };
 #[doc(inline)]
-pub use presight_files::preparation::{
+pub use presight_read::preparation::{
     ImportReport, Problem, ProblemKind, SceneFrame, Up, lost_features, mesh_of_triangles,
 };
 #[doc(inline)]
-pub use presight_files::sensor_toml::{
+pub use presight_read::sensor_toml::{
     parse as parse_sensor_toml, read as read_sensor_toml, to_string as sensor_to_toml,
 };
 #[doc(inline)]
-pub use presight_files::tum::{
+pub use presight_read::tum::{
     StampedPose, read as read_tum, read_with_stamps as read_tum_with_stamps, stream as stream_tum,
     stream_with_stamps as stream_tum_with_stamps,
 };
 #[doc(inline)]
-pub use presight_files::{Robot, files_named_by, load_rectified, load_robot, load_sensor, not_built};
+pub use presight_read::{Robot, files_named_by, load_rectified, load_robot, load_sensor, not_built};

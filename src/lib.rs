@@ -100,8 +100,6 @@ pub mod verdict;
 pub mod virtual_sensors;
 
 #[doc(inline)]
-pub use presight_files::preset;
-#[doc(inline)]
 pub use presight_model::clock::set_clock;
 #[doc(inline)]
 pub use presight_model::geometry::{InObject, InRobot, InWorld, Pose, PoseCovariance, PoseEstimate};
@@ -109,6 +107,8 @@ pub use presight_model::geometry::{InObject, InRobot, InWorld, Pose, PoseCovaria
 pub use presight_model::{Change, Error, ErrorKind, Result, Sensor, Threads, World};
 #[doc(inline)]
 pub use presight_predict::{Backend, Options, Prediction, Predictor, Request};
+#[doc(inline)]
+pub use presight_read::preset;
 #[doc(inline)]
 pub use presight_render::{IdScheme, ImageRequest, Images, Output, Outputs, Raster, Stats, Way};
 pub use scene::{Scene, SceneFeatures, SceneOptions, blake3_of};

@@ -1,10 +1,6 @@
 //! Scenes: models from files, opened as worlds for predictions.
 
 use presight_features::{PlacedFeatures, place};
-use presight_files::file;
-use presight_files::gltf::{ImportOptions, import, import_bytes};
-use presight_files::layer::{self, LayerFile, MergedLayers};
-use presight_files::preparation::{ImportReport, ImportedScene, SceneFrame};
 use presight_model::change::Change;
 use presight_model::environment::{Feature, FeatureLayer, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
@@ -15,6 +11,10 @@ use presight_model::placement::{self, Placement};
 use presight_model::printable;
 use presight_model::threads::Threads;
 use presight_model::world::World;
+use presight_read::file;
+use presight_read::gltf::{ImportOptions, import, import_bytes};
+use presight_read::layer::{self, LayerFile, MergedLayers};
+use presight_read::preparation::{ImportReport, ImportedScene, SceneFrame};
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -415,14 +415,14 @@ fn mesh_file(path: &Path) -> Error {
 #[cfg(feature = "script")]
 fn script(source: Source<'_>, options: &ImportOptions, say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
     match source {
-        Source::File(path) => presight_files::script::load(path, options, say),
-        Source::Memory(name, bytes) => presight_files::script::load_bytes(name, bytes, options, say),
+        Source::File(path) => presight_read::script::load(path, options, say),
+        Source::Memory(name, bytes) => presight_read::script::load_bytes(name, bytes, options, say),
     }
 }
 
 #[cfg(not(feature = "script"))]
 fn script(_source: Source<'_>, _options: &ImportOptions, _say: &mut dyn FnMut(&str)) -> Result<ImportedScene> {
-    Err(presight_files::not_built("scene scripts", "script"))
+    Err(presight_read::not_built("scene scripts", "script"))
 }
 
 /// The error for a store that is not in a file.
@@ -454,7 +454,7 @@ fn stored(path: &Path, kind: &IndexKind) -> Result<Scene> {
 
 #[cfg(not(feature = "store"))]
 fn stored(_path: &Path, _kind: &IndexKind) -> Result<Scene> {
-    Err(presight_files::not_built("stored environments", "store"))
+    Err(presight_read::not_built("stored environments", "store"))
 }
 
 #[cfg(all(test, not(feature = "script")))]

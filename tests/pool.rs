@@ -6,15 +6,15 @@ use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{
     BoxOptions, BoxQuery, FeatureOptions, FeatureSettings, Visibility, add_boxes, place, predict_features,
 };
-use presight_files::gltf;
-use presight_files::gltf::ImportOptions;
-use presight_files::preset;
 use presight_model::geometry::Pose;
 use presight_model::index::IndexKind;
 use presight_model::threads::Threads;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
+use presight_read::gltf;
+use presight_read::gltf::ImportOptions;
+use presight_read::preset;
 use presight_render::plan::{FramePlan, Output, Outputs};
 use presight_render::verify::{Precision, candidates};
 use presight_studies::index::Scheme;
@@ -32,7 +32,7 @@ const BALLS: &str = r#"
 fn scene(folder: &Path) -> (PathBuf, PathBuf) {
     let (script, glb) = (folder.join("balls.rhai"), folder.join("balls.glb"));
     std::fs::write(&script, BALLS).unwrap();
-    let made = presight_files::script::load(&script, &ImportOptions::default(), &mut |_| ()).unwrap();
+    let made = presight_read::script::load(&script, &ImportOptions::default(), &mut |_| ()).unwrap();
     gltf::write_glb(&glb, &made.environment).unwrap();
     (script, glb)
 }
@@ -111,7 +111,7 @@ fn a_script_that_imports_may_be_loaded_on_a_single_thread() {
     let threads = Threads::new(1).unwrap();
     let options = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let mut said = Vec::new();
-    let load = || presight_files::script::load(&script, &options, &mut |line| said.push(line.to_owned()));
+    let load = || presight_read::script::load(&script, &options, &mut |line| said.push(line.to_owned()));
     let made = threads.run(load).unwrap().unwrap();
     assert_eq!((made.environment.objects().len(), said), (3, vec!["hello".to_owned()]));
 }

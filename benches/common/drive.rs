@@ -4,12 +4,12 @@
 use crate::{cameras, middle, number, scenes};
 use cpu_time::ProcessTime;
 use glam::DVec3;
-use presight_files::preset;
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::gpu::{DeviceOptions, GpuEngine};
 use presight_predict::request::Request;
+use presight_read::preset;
 use presight_render::plan::{CountName, StageName};
 use presight_render::plan::{FramePlan, Images, Stats};
 

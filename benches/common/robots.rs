@@ -1,8 +1,8 @@
 //! Sensors of few rays and of free ray tables, as robots carry them.
 
 use glam::DVec3;
-use presight_files::preset;
 use presight_model::sensor::{Angles, Geometry, RayTable, Scanner, Sensor, SensorSpec};
+use presight_read::preset;
 use std::f64::consts::TAU;
 
 /// Each with the degrees by which the robot leans.

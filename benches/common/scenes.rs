@@ -4,11 +4,11 @@
 mod office;
 
 use office::{office, office_poses};
-use presight_files::gltf::{ImportOptions, import};
 use presight_model::environment::Environment;
 use presight_model::geometry::Pose;
 use presight_model::world::World;
 use presight_predict::free_poses::free_poses;
+use presight_read::gltf::{ImportOptions, import};
 use presight_testkit::hall::{hall_poses, open_hall};
 use std::path::{Path, PathBuf};
 
@@ -48,7 +48,7 @@ pub fn environment(scene: &str) -> Environment {
     }
     #[cfg(feature = "script")]
     if scene.ends_with(".rhai") {
-        let loaded = presight_files::script::load(path_of(scene), &ImportOptions::default(), &mut |_| {});
+        let loaded = presight_read::script::load(path_of(scene), &ImportOptions::default(), &mut |_| {});
         return loaded.unwrap_or_else(|e| panic!("{e}")).environment;
     }
     import(path_of(scene), &ImportOptions::default()).unwrap_or_else(|e| panic!("{e}")).environment

@@ -7,8 +7,6 @@
 use super::single;
 use cpu_time::ProcessTime;
 use glam::{DVec3, Vec3};
-use presight_files::log::Frames;
-use presight_files::preset;
 use presight_localize::estimate::{EstimateOptions, Estimator, nees};
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_model::environment::{Mesh, NewObject};
@@ -16,6 +14,8 @@ use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
+use presight_read::log::Frames;
+use presight_read::preset;
 use presight_testkit::caster::Caster;
 use presight_testkit::changes::{Shares, changed};
 use presight_testkit::oracle::Oracle;
@@ -168,7 +168,7 @@ fn load(name: &str) -> Option<World> {
     #[cfg(feature = "script")]
     {
         let path = data::root().join(name);
-        let loaded = presight_files::script::load(&path, &Default::default(), &mut |_| {}).expect("the scene loads");
+        let loaded = presight_read::script::load(&path, &Default::default(), &mut |_| {}).expect("the scene loads");
         Some(World::new(loaded.environment))
     }
     #[cfg(not(feature = "script"))]

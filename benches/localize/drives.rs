@@ -4,7 +4,6 @@
 use super::{map, predictor, single};
 use cpu_time::ProcessTime;
 use glam::DVec3;
-use presight_files::preset;
 use presight_localize::estimate::{
     Estimate, EstimateOptions, Estimator, Freedom, measured_points, motion_between, moved, nees,
 };
@@ -15,6 +14,7 @@ use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::free_poses::free_poses;
+use presight_read::preset;
 use presight_testkit::{Random, data};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -151,7 +151,7 @@ fn halls() -> Vec<(&'static str, World, Pose)> {
     #[cfg(feature = "script")]
     let factory = {
         let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
-        let loaded = presight_files::script::load(path, &Default::default(), &mut |_| {}).expect("the scene loads");
+        let loaded = presight_read::script::load(path, &Default::default(), &mut |_| {}).expect("the scene loads");
         Some(("scenes/factory.rhai", World::new(loaded.environment)))
     };
     #[cfg(not(feature = "script"))]

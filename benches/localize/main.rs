@@ -11,14 +11,14 @@ mod drives;
 
 use cpu_time::ProcessTime;
 use glam::DVec3;
-use presight_files::gltf::import;
-use presight_files::log::{Frames, Observation};
 use presight_localize::estimate::{EstimateOptions, Estimator, Freedom, measured_points};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::Frame;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
+use presight_read::gltf::import;
+use presight_read::log::{Frames, Observation};
 use presight_testkit::data;
 use std::path::Path;
 use std::time::Instant;

@@ -19,11 +19,11 @@ mod willow;
 
 use case::{Amounts, Case, Off};
 use displaced::Judged;
-use presight_files::{preset, sensor_toml};
 use presight_model::environment::Environment;
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
+use presight_read::{preset, sensor_toml};
 use presight_testkit::data;
 use presight_update::{Evidence, Findings, LearnOptions, Learner};
 use right::Right;

@@ -2,13 +2,13 @@
 
 use glam::DVec3;
 use presight::Scene;
-use presight_files::sensor_toml;
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_pictures::{Panel, panels_png};
 use presight_predict::predict::{Backend, Options, Predictor};
+use presight_read::sensor_toml;
 use presight_render::plan::{Images, Output, Outputs};
 use presight_testkit::caster::Caster;
 use presight_testkit::way::Way;

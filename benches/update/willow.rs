@@ -2,8 +2,6 @@
 //! `cargo bench --bench update -- willow [FOLDER]`; a folder gets the logs and the poses of the first drive, for the command.
 
 use glam::{DMat3, DVec2, DVec3};
-use presight_files::log::{LogFrame, lines};
-use presight_files::sensor_toml;
 use presight_localize::estimate::{EstimateOptions, Estimator, Freedom};
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_model::environment::Environment;
@@ -12,6 +10,8 @@ use presight_model::measured::{Frame, Measurement, Motion, OdometryNoise};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
+use presight_read::log::{LogFrame, lines};
+use presight_read::sensor_toml;
 use presight_testkit::{Random, data};
 use presight_update::{Caster, Findings, LearnOptions, Learner, What};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};

@@ -162,7 +162,9 @@ impl Sources {
             "crate" => module[..1].to_vec(),
             "self" => module.to_vec(),
             "super" => module[..module.len() - 1].to_vec(),
-            _ if here.items.contains_key(first) || here.by_macro.contains(first) || here.below.contains_key(first) => {
+            _ if here.items.contains_key(first) || here.by_macro.contains(first) => below(module, first),
+            // A function may have the name of a module.
+            _ if here.below.contains_key(first) && !(rest.is_empty() && here.uses.contains_key(first)) => {
                 below(module, first)
             }
             _ => match here.uses.get(first) {
@@ -203,7 +205,7 @@ impl Sources {
         }
     }
 
-    /// The public modules of a crate, itself first, and imports of whole modules, which do not say what they offer.
+    /// The public modules of a crate, itself first, and imports that do not name one item.
     pub fn modules(&self, of_crate: &str) -> (Vec<Name>, Vec<String>) {
         let (mut modules, mut globs) = (vec![vec![of_crate.to_owned()]], Vec::new());
         let mut next = 0;
@@ -212,9 +214,8 @@ impl Sources {
             modules.extend(here.below.iter().filter(|(_, public)| **public).map(|(name, _)| below(&module, name)));
             globs.extend(here.globs.iter().map(|glob| format!("{}: {}::*", module.join("::"), glob.join("::"))));
             let public = here.uses.iter().filter(|(_, (_, public))| *public);
-            let whole = public.filter(|(_, (path, _))| {
-                self.resolve_use(&module, path, 0).is_some_and(|to| self.item(&to).is_none() && !self.is_type(&to))
-            });
+            let is_one = |to: Name| self.item(&to).is_some() || self.is_type(&to);
+            let whole = public.filter(|(_, (path, _))| !self.resolve_use(&module, path, 0).is_some_and(is_one));
             globs.extend(whole.map(|(name, _)| format!("{}: {name}", module.join("::"))));
             next += 1;
         }

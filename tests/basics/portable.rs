@@ -13,15 +13,15 @@ const HOMES: [(&str, &[&str]); 9] = [
     ("thread::scope", &["presight-model/src/threads.rs"]),
     ("thread::Builder", &["presight-model/src/threads.rs"]),
     // Waits for another thread of the process, so there are threads.
-    ("thread::sleep", &["presight-files/src/temporary.rs"]),
+    ("thread::sleep", &["presight-read/src/temporary.rs"]),
     ("ThreadPoolBuilder", &["presight-model/src/threads.rs"]),
     ("available_parallelism", &["presight-model/src/threads.rs"]),
     // File modes, and the descriptors of the standard streams; under cfg(unix), as checked below.
-    ("std::os::", &["presight-files/src/atomic.rs", "presight-files/src/temporary.rs"]),
+    ("std::os::", &["presight-read/src/atomic.rs", "presight-read/src/temporary.rs"]),
 ];
 
 /// Sources whose code for Unix is one way to do what the code after it does on every system.
-const UNIX_FIRST: [&str; 1] = ["presight-files/src/atomic.rs"];
+const UNIX_FIRST: [&str; 1] = ["presight-read/src/atomic.rs"];
 
 /// The faults of a source.
 fn faults(name: &str, text: &str) -> Vec<String> {

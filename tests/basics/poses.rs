@@ -168,7 +168,7 @@ fn engines_and_virtual_sensors_check_again() {
                 _ if task == VirtualSensor::Docking => "laser-scanner",
                 _ => "laser-range-camera",
             };
-            let sensor = presight_files::preset(name).unwrap();
+            let sensor = presight_read::preset(name).unwrap();
             let request = Request::of(task.outputs());
             let mut prediction = predictor.predict(&s.world, &sensor, &Pose::IDENTITY, &request).unwrap();
             prediction.world_from_sensor = pose;

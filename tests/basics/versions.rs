@@ -17,7 +17,7 @@ fn a_change_after_a_prediction_copies_nothing() {
     for name in ["hall", "cart"] {
         environment.insert(presight_model::environment::NewObject::new(name, Pose::IDENTITY, mesh.clone())).unwrap();
     }
-    let (mut world, sensor) = (World::new(environment), presight_files::preset("laser-scanner").unwrap());
+    let (mut world, sensor) = (World::new(environment), presight_read::preset("laser-scanner").unwrap());
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let place = |world: &World| (std::sync::Arc::as_ptr(world.environment()), std::ptr::from_ref(world.index()));
     let before = place(&world);

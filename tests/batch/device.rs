@@ -83,10 +83,10 @@ fn sums_on_the_device_equal_those_of_its_images() {
         // Level one-row scanners use a cut on the CPU, so the poses here are tilted.
         println!("{}", check(&mut engine, &noisy(preset, noise), None));
     }
-    let near = presight_files::preset("laser-range-camera").unwrap().spec().clone().with_limits(1.5, 3.0);
+    let near = presight_read::preset("laser-range-camera").unwrap().spec().clone().with_limits(1.5, 3.0);
     println!("{}", check(&mut engine, &noisy(&Sensor::new(near).unwrap(), noise), None));
     println!("{}", check(&mut engine, &noisy(&scenes::lens(80, 60), noise), None));
-    let rows = noisy(&presight_files::preset("vlp-16").unwrap(), noise);
+    let rows = noisy(&presight_read::preset("vlp-16").unwrap(), noise);
     let headings = Headings::new(&rows, 90).unwrap();
     println!("{}", check(&mut engine, &rows, Some(headings)));
     // One direction twice: in the image, and resampled to the headings of a panorama with other steps.

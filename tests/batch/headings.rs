@@ -3,12 +3,12 @@
 use super::likelihood::disturbed;
 use super::{common, frame_of, noisy, oracle, predictor, single};
 use common::{Random, data, scenes};
-use presight_files::log;
 use presight_model::error::ErrorKind;
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Angles, Geometry, Mixture, Noise, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
+use presight_read::log;
 
 const NOISE: Noise = Noise {
     range_sigma: 0.03,
@@ -128,7 +128,7 @@ fn impossible_headings_are_refused() {
     let good = scanner(-90.0, 0.5, 361, &[0.0], (0.0, 30.0));
     refused(&good, 0, "0 headings");
     refused(&good, 100_000, "100000 headings");
-    refused(&presight_files::preset("video-camera").unwrap(), 10, "not a scanner");
+    refused(&presight_read::preset("video-camera").unwrap(), 10, "not a scanner");
 
     let sensed = RangeLikelihood::new(&frame_of(&good, vec![1.0; 361]), PoseCell::default()).unwrap();
     let headings = Some(Headings::new(&good, 360).unwrap());
@@ -147,8 +147,8 @@ fn impossible_headings_are_refused() {
 fn real_scans_are_found_in_their_map() {
     let Some(log) = data::file("lidar2d/malaga_corridor_run_scans.json") else { return };
     let Some(map) = data::file("lidar2d/malaga_corridor_map.glb") else { return };
-    let options = presight_files::gltf::ImportOptions::default();
-    let world = World::new(presight_files::gltf::import(map, &options).unwrap().environment);
+    let options = presight_read::gltf::ImportOptions::default();
+    let world = World::new(presight_read::gltf::import(map, &options).unwrap().environment);
     let log = log::open(&log).unwrap();
     let noise = Noise {
         range_sigma: 0.05,

@@ -64,7 +64,7 @@ fn images_equal_those_of_single_predictions_in_a_real_scene() {
 #[test]
 fn statistics_are_returned_on_request() {
     let world = World::new(scenes::room(2, 10));
-    let sensor = presight_files::preset("vlp-16").unwrap();
+    let sensor = presight_read::preset("vlp-16").unwrap();
     for statistics in [false, true] {
         let request = BatchRequest { statistics, ..BatchRequest::default() };
         let mut predictor = predictor(2);
@@ -79,7 +79,7 @@ fn statistics_are_returned_on_request() {
 #[test]
 fn a_wrong_pose_ends_the_batch_at_its_place() {
     let world = World::new(scenes::room(2, 10));
-    let sensor = presight_files::preset("vlp-16").unwrap();
+    let sensor = presight_read::preset("vlp-16").unwrap();
     let mut poses = poses(9);
     poses[5].translation.x = f64::NAN;
     for chunk in [None, Some(2), Some(5)] {
@@ -101,7 +101,7 @@ fn a_wrong_pose_ends_the_batch_at_its_place() {
 #[test]
 fn poses_are_taken_a_chunk_at_a_time() {
     let world = World::new(scenes::room(2, 10));
-    let sensor = presight_files::preset("laser-scanner").unwrap();
+    let sensor = presight_read::preset("laser-scanner").unwrap();
     let taken = std::cell::Cell::new(0);
     let turned = |i: u32| {
         taken.set(taken.get() + 1);
@@ -131,7 +131,7 @@ fn the_gpu_engine_equals_its_single_predictions() {
     let mut poses = poses(70);
     (poses[0], poses[3], poses[4], poses[69]) = (away, away, away, away);
     for preset in ["laser-range-camera", "vlp-16"] {
-        let sensor = super::noisy(&presight_files::preset(preset).unwrap(), noise);
+        let sensor = super::noisy(&presight_read::preset(preset).unwrap(), noise);
         let (range, _) = super::single(&mut predictor(1), &world, &sensor, &poses[1]);
         let sensed =
             presight_predict::batch::RangeLikelihood::new(&super::frame_of(&sensor, range), Default::default())
@@ -174,7 +174,7 @@ fn frames_with_one_wave_and_with_several_share_a_submission() {
         Err(e) => return common::skip::no_adapter(e),
     };
     let world = World::new(scenes::room(2, 4000));
-    let sensor = presight_files::preset("laser-range-camera").unwrap();
+    let sensor = presight_read::preset("laser-range-camera").unwrap();
     // In the middle, a third of all boxes are in view; a hand's breadth from a wall, next to nothing is.
     let middle = Pose::from_xyz_rpy(glam::DVec3::Z, 0.0, 0.0, 0.5);
     let at_the_wall = Pose::from_xyz_rpy(glam::DVec3::new(4.9, 0.0, 1.5), 0.0, 0.0, 0.0);
@@ -209,7 +209,7 @@ fn the_work_of_all_frames_of_a_submission_is_reported() {
         Err(e) => return common::skip::no_adapter(e),
     };
     let world = World::new(scenes::room(2, 40));
-    let sensor = presight_files::preset("laser-range-camera").unwrap();
+    let sensor = presight_read::preset("laser-range-camera").unwrap();
     let pose = poses(2)[1];
     let request = BatchRequest { statistics: true, ..BatchRequest::default() };
     let mut workgroups = |count: usize| -> Vec<u64> {
@@ -234,7 +234,7 @@ fn gpu_likelihoods_differ_by_beams_on_a_step() {
     };
     let world = World::new(scenes::room(2, 40));
     let noise = presight_model::sensor::Noise { range_sigma: 0.02, ..Default::default() };
-    let sensor = super::noisy(&presight_files::preset("laser-range-camera").unwrap(), noise);
+    let sensor = super::noisy(&presight_read::preset("laser-range-camera").unwrap(), noise);
     let mut cpu = predictor(2);
     let exact = super::single(&mut cpu, &world, &sensor, &poses(1)[0]).0;
     let noisy = super::likelihood::disturbed(&mut Random(3), sensor.spec(), &exact);

@@ -87,7 +87,7 @@ fn every_preset_is_weighed_by_the_formula() {
 fn real_scenes_are_weighed_by_the_formula() {
     let Some(world) = data::scene("factory_hall", true) else { return };
     let poses: Vec<Pose> = data::poses(&world, 8, 4).iter().map(lean).collect();
-    let sensors = ["laser-range-camera", "laser-scanner"].map(|name| presight_files::preset(name).unwrap());
+    let sensors = ["laser-range-camera", "laser-scanner"].map(|name| presight_read::preset(name).unwrap());
     check(&world, &poses, &sensors, 1e-9);
 }
 
@@ -99,7 +99,7 @@ fn lean(pose: &Pose) -> Pose {
 /// mixture weights.
 #[test]
 fn one_beam_by_hand() {
-    let mut spec = presight_files::preset("laser-scanner").unwrap().spec().clone();
+    let mut spec = presight_read::preset("laser-scanner").unwrap().spec().clone();
     let one = |start_deg| presight_model::sensor::Angles::Uniform { start_deg, step_deg: 0.0, count: 1 };
     let scanner = presight_model::sensor::Scanner { azimuth: one(0.0), elevation: one(0.0), beam_height_deg: None };
     spec.geometry = presight_model::sensor::Geometry::Scanner(scanner);
@@ -134,7 +134,7 @@ fn one_beam_by_hand() {
 
 #[test]
 fn images_that_cannot_be_weighed_are_refused() {
-    let plain = presight_files::preset("laser-scanner").unwrap();
+    let plain = presight_read::preset("laser-scanner").unwrap();
     let sensor = noisy(&plain, noises()[0]);
     let refused = |sensor: &Sensor, range: Vec<f32>, cell: PoseCell| {
         let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(range));

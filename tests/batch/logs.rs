@@ -2,8 +2,8 @@
 
 use super::common;
 use common::data;
-use presight_files::log;
 use presight_model::sensor::{Angles, Geometry};
+use presight_read::log;
 
 #[test]
 fn external_scan_logs_are_read() {

@@ -416,7 +416,7 @@ fn cuts_are_for_level_rows_only() {
     // Too far away for the margins of the cut.
     assert!(get(one, &Pose::from_xyz_rpy(DVec3::new(1e6, 0.0, 1.0), 0.0, 0.0, 1.0)).is_none());
     for name in ["vlp-16", "video-camera"] {
-        assert!(get(&presight_files::preset(name).unwrap(), &Pose::IDENTITY).is_none());
+        assert!(get(&presight_read::preset(name).unwrap(), &Pose::IDENTITY).is_none());
     }
     // Above the whole scene there is nothing in view.
     let above = Pose::from_xyz_rpy(DVec3::Z * 50.0, 0.0, 0.0, 0.0);

@@ -37,7 +37,7 @@ impl Bench {
         let options = Options::new(Backend::Cpu).with_threads(1).with_way(way);
         let mut predictor = Predictor::new(options).unwrap();
         predictor.set_clock(Arc::new(Still));
-        Self { world, sensor: presight_files::preset(sensor).unwrap(), pose, predictor }
+        Self { world, sensor: presight_read::preset(sensor).unwrap(), pose, predictor }
     }
 
     fn predict(&mut self, deadline: Option<Duration>) -> presight_model::error::Result<Prediction> {

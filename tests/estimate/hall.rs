@@ -2,12 +2,12 @@
 //! exact map, and with every object of it 1 cm off. PRESIGHT_HALL_FRAMES sets the number of frames of a drive.
 
 use super::*;
-use presight_files::gltf::import;
 use presight_localize::estimate::nees;
 use presight_localize::localize::{LocalizeOptions, Localizer};
 use presight_localize::simulate::{Disturbances, Simulator, displace};
 use presight_model::geometry::PoseEstimate;
 use presight_predict::free_poses::free_poses;
+use presight_read::gltf::import;
 
 fn hall() -> Option<World> {
     let path = presight_testkit::data::file("env/factory_hall.glb")?;
@@ -15,7 +15,7 @@ fn hall() -> Option<World> {
 }
 
 fn laser() -> Sensor {
-    let mut spec = presight_files::preset("laser-range-camera").unwrap().spec().clone();
+    let mut spec = presight_read::preset("laser-range-camera").unwrap().spec().clone();
     spec.noise.range_sigma = 0.01;
     Sensor::new(spec).unwrap()
 }
@@ -89,7 +89,7 @@ fn displaced_objects_show_in_the_covariance() {
 #[cfg(feature = "script")]
 fn scripted_hall() -> World {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/factory.rhai");
-    World::new(presight_files::script::load(path, &Default::default(), &mut |_| {}).unwrap().environment)
+    World::new(presight_read::script::load(path, &Default::default(), &mut |_| {}).unwrap().environment)
 }
 
 /// In a place that repeats every few decimetres: from priors that are off by 2 cm and 0.6 degrees an axis, the search
@@ -125,7 +125,7 @@ fn a_pose_is_told_where_the_robot_may_be() {
 #[test]
 fn two_sensors_in_a_scripted_hall() {
     let map = scripted_hall();
-    let mut spec = presight_files::preset("microwave-radar-scan").unwrap().spec().clone();
+    let mut spec = presight_read::preset("microwave-radar-scan").unwrap().spec().clone();
     spec.noise.range_sigma = 0.03;
     let radar = Sensor::new(spec).unwrap();
     // In the aisle before the machine tools.

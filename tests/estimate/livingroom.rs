@@ -2,11 +2,11 @@
 //! reached.
 
 use super::*;
-use presight_files::gltf::import;
-use presight_files::log::Frames;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_model::environment::{Polygon, PolygonOrder};
 use presight_model::geometry::PoseEstimate;
+use presight_read::gltf::import;
+use presight_read::log::Frames;
 use std::path::Path;
 
 fn map() -> Option<World> {
@@ -39,7 +39,7 @@ fn camera_of(range_sigma: f64) -> Sensor {
 
 /// The camera of the noisy frames: its noise grows with the square of the range.
 fn noisy_camera() -> Sensor {
-    presight_files::load_sensor(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/estimate/noisy_camera.toml")).unwrap().0
+    presight_read::load_sensor(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/estimate/noisy_camera.toml")).unwrap().0
 }
 
 /// Every fourth column and row of a depth image.

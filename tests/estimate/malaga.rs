@@ -2,11 +2,11 @@
 //! is the value reached.
 
 use super::*;
-use presight_files::gltf::import;
-use presight_files::log::{Frames, Observation};
 use presight_localize::estimate::motion_between;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_model::geometry::{InWorld, PoseCovariance, PoseEstimate};
+use presight_read::gltf::import;
+use presight_read::log::{Frames, Observation};
 use presight_testkit::data;
 
 fn map() -> Option<World> {

@@ -2,7 +2,6 @@
 //! point is compared with, its weight, or its lever arm.
 
 use super::*;
-use presight_files::gltf::import;
 use presight_localize::estimate::{Gate, Kernel, Normal, RangeSource, Residuals, measured_points, nees};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_localize::verdict::{ExpectedImage, Surfaces};
@@ -10,6 +9,7 @@ use presight_model::geometry::PoseEstimate;
 use presight_model::measured::RangeNoise;
 use presight_model::sensor::{Distortion, Noise};
 use presight_predict::free_poses::free_poses;
+use presight_read::gltf::import;
 
 fn undisturbed() -> Disturbances {
     Disturbances::default().with_drop_outs(0.0).with_mixed_pixels(0.0).with_slip(0.0).with_turn_slip(0.0)

@@ -1,10 +1,10 @@
 //! Real scans of a street as points (../shared/data/lidar3d): two of them in the surface of the first.
 
 use super::*;
-use presight_files::gltf::import;
-use presight_files::log::{Frames, Observation};
 use presight_localize::estimate::Estimate;
 use presight_model::geometry::PoseEstimate;
+use presight_read::gltf::import;
+use presight_read::log::{Frames, Observation};
 
 fn map() -> Option<World> {
     let path = presight_testkit::data::file("lidar3d/street_map.glb")?;

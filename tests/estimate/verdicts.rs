@@ -81,7 +81,7 @@ fn the_mount_leads_from_the_robot_to_the_sensor() {
     let mut environment = Environment::new();
     environment.add_cuboid("hall", Pose::IDENTITY, DVec3::new(20.0, 20.0, 4.0)).unwrap();
     let world = World::new(environment);
-    let mut spec = presight_files::preset("laser-scanner").unwrap().spec().clone();
+    let mut spec = presight_read::preset("laser-scanner").unwrap().spec().clone();
     spec.mount = Pose::from_xyz_rpy(DVec3::new(0.4, 0.0, 0.5), 0.0, 0.0, 0.0);
     let scanner = Sensor::new(spec).unwrap();
     let azimuth = |i: usize| (0.5 * i as f64 - 90.0).to_radians();

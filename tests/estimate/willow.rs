@@ -4,12 +4,12 @@
 
 use super::*;
 use glam::DVec2;
-use presight_files::gltf::import;
-use presight_files::log;
-use presight_files::log::Frames;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Step};
 use presight_model::geometry::PoseEstimate;
 use presight_model::measured::{Motion, OdometryNoise};
+use presight_read::gltf::import;
+use presight_read::log;
+use presight_read::log::Frames;
 use presight_testkit::data;
 
 /// The side of a map cell, metres.

@@ -13,13 +13,13 @@ use presight_features::{
     BoxOptions, BoxQuery, FeaturePrediction, FeatureSettings, PlacedFeature, SeenFeature, add_boxes, place,
     predict_features,
 };
-use presight_files::gltf::{ImportOptions, import};
-use presight_files::preset;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::geometry::{Pose, PoseCovariance};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::gpu::{DeviceOptions, GpuEngine, testing};
+use presight_read::gltf::{ImportOptions, import};
+use presight_read::preset;
 use std::sync::Arc;
 
 const TOLERANCE: f64 = 1.0 / 16.0;

@@ -1,10 +1,10 @@
 //! Builds glTF files.
 
-use presight_files::gltf::{ImportOptions, import};
-use presight_files::preparation::ImportedScene;
 use presight_model::environment::Object;
 use presight_model::error::Error;
 use presight_model::threads::Threads;
+use presight_read::gltf::{ImportOptions, import};
+use presight_read::preparation::ImportedScene;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use tempfile::TempDir;

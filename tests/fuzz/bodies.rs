@@ -10,8 +10,9 @@ mod generate;
 
 use check::{check_world, near_unit, sound_sensor};
 use presight_cli::pose::parse_pose;
-use presight_files::{camera_info, corridor, exr, layer, log, materials, pose_covariance, sensor_toml, tum};
+use presight_files::{corridor, exr};
 use presight_model::geometry::Pose;
+use presight_read::{camera_info, layer, log, materials, pose_covariance, sensor_toml, tum};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
@@ -92,7 +93,7 @@ pub fn edit(bytes: &[u8]) -> bool {
 
 /// `.glb` and `.gltf`: an imported scene can be rendered, and is the same after it has been written.
 pub fn gltf(bytes: &[u8]) -> bool {
-    use presight_files::gltf::{import, write_glb};
+    use presight_read::gltf::{import, write_glb};
     let name = if bytes.starts_with(b"glTF") { "scene.glb" } else { "scene.gltf" };
     with_file(name, bytes, |path| {
         let Ok(scene) = import(path, &Default::default()) else { return false };
@@ -109,7 +110,7 @@ pub fn gltf(bytes: &[u8]) -> bool {
 #[cfg(feature = "script")]
 pub fn script(bytes: &[u8]) -> bool {
     with_file("scene.rhai", bytes, |path| {
-        let scene = presight_files::script::load(path, &Default::default(), &mut |_| {});
+        let scene = presight_read::script::load(path, &Default::default(), &mut |_| {});
         scene.is_ok_and(|scene| {
             check_world(scene.environment);
             true
@@ -200,7 +201,7 @@ pub fn changes(bytes: &[u8]) -> bool {
 pub fn poses(bytes: &[u8]) -> bool {
     let Ok(pose) = parse_pose(&text(bytes)) else { return false };
     check_pose(&pose);
-    let again = parse_pose(&exr::pose_to_text(&pose)).expect("a written file can be read");
+    let again = parse_pose(&presight_read::exr::pose_to_text(&pose)).expect("a written file can be read");
     assert_eq!(again.translation, pose.translation);
     assert!((again.rotation - pose.rotation).length() < 1e-12, "{pose:?} is not {again:?}");
     true
@@ -256,7 +257,7 @@ pub fn materials(bytes: &[u8]) -> bool {
 /// Robot files next to sensor files.
 pub fn robot(bytes: &[u8]) -> bool {
     with_file("robot.toml", bytes, |path| {
-        let Ok((robot, _)) = presight_files::load_robot(path) else { return false };
+        let Ok((robot, _)) = presight_read::load_robot(path) else { return false };
         assert!(!robot.sensors.is_empty());
         robot.sensors.iter().for_each(|s| check_pose(&s.spec().mount));
         true

@@ -3,12 +3,13 @@
 use crate::common::{plan, reference, scenes};
 use glam::{DQuat, DVec3, Vec3};
 use presight_features::{BoxOptions, BoxQuery, FeatureSettings, add_boxes, place, predict_features};
-use presight_files::{prediction_json, sensor_toml};
+use presight_files::prediction_json;
 use presight_model::environment::FeatureLayer;
 use presight_model::environment::{Environment, NewObject};
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
+use presight_read::sensor_toml;
 use presight_render::cpu;
 use presight_render::plan::{Images, Output, Stats};
 use presight_render::verify::{Precision, compare};

@@ -9,10 +9,10 @@ use presight_testkit as common;
 
 use common::{data, env_number, plan, reference, scenes};
 use glam::DVec3;
-use presight_files::gltf::{ImportOptions, import};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
+use presight_read::gltf::{ImportOptions, import};
 use presight_render::plan::Images;
 
 /// A scene as merged, as stored, and the largest displacement by merging in metres.

@@ -452,14 +452,14 @@ fn changes_while_trees_are_made_are_exact() {
 #[test]
 fn who_does_not_need_trees_does_not_pay_for_them() {
     let Some(path) = data::file("env/warehouse_small.glb") else { return };
-    let imported = presight_files::gltf::import(path, &presight_files::gltf::ImportOptions::default()).unwrap();
+    let imported = presight_read::gltf::import(path, &presight_read::gltf::ImportOptions::default()).unwrap();
     let world = World::new(imported.environment);
     let trees = || world.environment().objects().iter().filter(|o| o.mesh.known_ray_tree().is_some()).count();
     assert_eq!(trees(), 0);
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1).with_way(Way::Counts)).unwrap();
     let pose = data::poses(&world, 1, 3)[0] * Pose::from_xyz_rpy(DVec3::ZERO, 0.05, 0.0, 0.0);
     let mut see = |name: &str| {
-        let sensor = presight_files::preset(name).unwrap();
+        let sensor = presight_read::preset(name).unwrap();
         predictor.predict(&world, &sensor, &pose, &Request::default()).unwrap().stats.way
     };
     (0..20).for_each(|_| assert_eq!(see("video-camera"), Some(Way::Raster)));
@@ -472,7 +472,7 @@ fn who_does_not_need_trees_does_not_pay_for_them() {
 fn images_turn_to_tiles_where_many_polygons_are_left() {
     let hall = World::new(hall::open_hall(3, 300_000));
     let pose = hall::hall_poses(hall.environment(), 3, 1)[0];
-    let sensor = presight_files::preset("vlp-16").unwrap();
+    let sensor = presight_read::preset("vlp-16").unwrap();
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1).with_way(Way::Counts)).unwrap();
     let mut seen = Vec::new();
     for _ in 0..60 {
@@ -499,7 +499,7 @@ fn the_way_is_chosen_by_counts() {
     // Leaning: level scanners are soon searched in the world's cut.
     let lean = Pose::from_xyz_rpy(DVec3::ZERO, 0.05, 0.0, 0.0);
     let pose = hall::hall_poses(world.environment(), 3, 1)[0] * lean;
-    let [laser, camera] = ["laser-scanner", "video-camera"].map(|name| presight_files::preset(name).unwrap());
+    let [laser, camera] = ["laser-scanner", "video-camera"].map(|name| presight_read::preset(name).unwrap());
     let predictor = |way| Predictor::new(Options::new(Backend::Cpu).with_threads(1).with_way(way)).unwrap();
     let (mut auto, mut ways) = (predictor(Way::Auto), Vec::new());
     let way_of = |auto: &mut Predictor, sensor: &Sensor, request: &Request| {

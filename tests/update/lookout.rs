@@ -1,11 +1,11 @@
 //! Where to look from at an object in doubt.
 
 use glam::DVec3;
-use presight_files::sensor_toml;
 use presight_model::environment::Environment;
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
+use presight_read::sensor_toml;
 use presight_testkit::caster::Caster;
 use presight_testkit::oracle::Oracle;
 use presight_update::{Finding, LearnOptions, Learner, What};

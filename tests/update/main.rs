@@ -40,7 +40,7 @@ fn hall() -> Environment {
 }
 
 fn camera() -> Sensor {
-    let mut spec = presight_files::preset("laser-range-camera").unwrap().spec().clone();
+    let mut spec = presight_read::preset("laser-range-camera").unwrap().spec().clone();
     spec.mount = Pose::from_xyz_rpy(glam::DVec3::new(0.0, 0.0, 1.2), 0.0, 0.0, 0.0);
     Sensor::new(spec).unwrap()
 }

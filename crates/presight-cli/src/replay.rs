@@ -12,7 +12,7 @@ use presight::tools::{create_folder, write_atomically};
 use presight::verdict::Verdict as Judged;
 use presight::{Backend, Error, Images, Options, Output, Outputs, Pose, Predictor, Request, Result, Scene, Sensor};
 use presight_pictures::{Comparison, GreyMark, GreyPanel, Overlay, PlanMarks, write_comparison};
-use presight_studies::replay::{Leaf, page};
+use presight_studies::page::replay::{Leaf, page};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 

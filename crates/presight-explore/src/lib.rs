@@ -2,32 +2,18 @@
 //!
 //! Use it through the crate `presight`, which gives the same names.
 
-mod convex;
-mod detail;
+mod change;
 mod evidence;
-mod exploration;
-mod field;
-mod flat;
-mod follow;
-mod group;
-mod layers;
-mod mirror;
-mod objects;
+mod geometry;
+mod known;
+mod observe;
 pub mod occupancy;
-mod outline;
-mod plan;
-mod region;
-mod rough;
-mod segment;
-mod sheet;
-mod solid;
-mod surfaces;
-mod surfel;
-mod view;
+mod surface;
+mod surfels;
+mod track;
+mod walls;
 
-pub use exploration::{Exploration, Known, MOST_MARKS};
-pub use follow::{Follower, FoundPose};
-pub use objects::ExploredObject;
-pub use outline::Areas;
-pub use surfaces::ExploreOptions;
-pub use view::{View, Views};
+pub use change::{Exploration, ExploredObject, Known, MOST_MARKS};
+pub use observe::{View, Views};
+pub use surface::{Areas, ExploreOptions};
+pub use track::{Follower, FoundPose};

@@ -267,7 +267,7 @@ mod tests {
             features.iter().map(|f| PlacedFeature { feature: f.clone().into(), object: None, slots: vec![] }).collect();
         let all =
             FeaturePrediction { features: features.iter().map(SeenFeature::whole).collect(), ..Default::default() };
-        let (world, sensor) = (World::new(Environment::new()), presight_files::preset("video-camera").unwrap());
+        let (world, sensor) = (World::new(Environment::new()), presight_read::preset("video-camera").unwrap());
         let vantage = Vantage { world: &world, sensor: &sensor, world_from_sensor: &Pose::IDENTITY };
         let ids = |most: usize| {
             let mut some = all.clone();

@@ -83,8 +83,8 @@ pub fn turn(sensor: &Sensor) -> Option<f64> {
 mod tests {
     use super::*;
     use glam::DMat3;
-    use presight_files::preset;
     use presight_model::sensor::SensorSpec;
+    use presight_read::preset;
 
     fn scanner(start_deg: f64, step_deg: f64) -> Sensor {
         let azimuth = Angles::Uniform { start_deg, step_deg, count: 360 };

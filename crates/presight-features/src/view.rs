@@ -151,9 +151,9 @@ fn beams(sensor: &Sensor, scanner: &Scanner) -> Form {
 mod tests {
     use super::*;
     use crate::{Piece, Sampler};
-    use presight_files::preset;
     use presight_model::random::SplitMix64;
     use presight_model::sensor::{Angles, Distortion, PRESETS, SensorSpec};
+    use presight_read::preset;
 
     fn sensors() -> Vec<Sensor> {
         let made = |geometry| Sensor::new(SensorSpec::new("s", "video", geometry)).unwrap();

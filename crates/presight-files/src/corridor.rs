@@ -13,9 +13,9 @@
 //! obstacles. All of it is in the robot's frame, with `polyline_in_world` in the world's; metres. `format` is optional;
 //! format 2 has one of the four, format 1 only the first.
 
-use super::text::from_settings;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_predict::virtual_sensors::Corridor;
+use presight_read::text::from_settings;
 use std::path::Path;
 
 /// The newest format.

@@ -5,9 +5,9 @@
 //! the last ratios of measured to estimated time. Entries for other adapters or numbers of threads are not used. A key
 //! does not name the CPU, so keep one file per machine.
 
-use super::atomic::write_atomically;
-use super::text::{FORMAT, from_text};
 use presight_model::error::{Error, ErrorKind, Result};
+use presight_read::atomic::write_atomically;
+use presight_read::text::{FORMAT, from_text};
 use presight_render::cost::{CostModel, Forecast, KINDS, Key, MAX_MODELS, UnitCosts, WorkCounts};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -1,44 +1,20 @@
-//! Files: one module per format. This module depends on the data types, but on no engine.
+//! Writers of predictions, one module per format, and the readers of images and corridors, which need the renderer's
+//! types. This crate depends on the data types, but on no engine.
 
-pub mod atomic;
-pub mod camera_info;
-pub mod cloud;
 pub mod corridor;
 pub mod costs;
-pub mod depth_folder;
 pub mod exr;
-mod faults;
-pub mod file;
-pub mod forms;
-pub mod gltf;
-pub mod growing;
-pub mod layer;
-mod load;
-pub mod log;
-pub mod materials;
 pub mod npy;
 pub mod npy_stack;
 pub mod pcd;
 pub mod ply;
 mod point_fields;
-pub mod pose_covariance;
 pub mod prediction_json;
-pub mod preparation;
-pub mod robot_toml;
-#[cfg(feature = "script")]
-pub mod script;
-pub mod sensor_toml;
-pub mod temporary;
-pub mod text;
-pub mod tum;
 
-pub use load::{files_named_by, load_rectified, load_sensor, preset};
-pub use robot_toml::{Robot, load_robot};
-
-use presight_model::error::{Error, ErrorKind};
-
-/// The error of a build without a cargo feature.
-pub fn not_built(what: &str, feature: &str) -> Error {
-    let what = format!("this presight was built without {what}");
-    Error::new(ErrorKind::Unsupported, what, format!("build it with the cargo feature `{feature}`"))
-}
+// Until all call sites name presight-read.
+#[doc(hidden)]
+pub use presight_read::{
+    Robot, atomic, camera_info, cloud, depth_folder, file, files_named_by, gltf, growing, layer, load_rectified,
+    load_robot, load_sensor, log, materials, not_built, pose_covariance, preparation, preset, robot_toml, sensor_toml,
+    temporary, text, tum,
+};

@@ -3,11 +3,11 @@
 //! `numpy.load` and most numerical software read them, without an EXR library. They hold only numbers: sensor, pose and
 //! scene are in the EXR file or the file name.
 
-use super::atomic::write_atomically;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
 use presight_model::memory;
 use presight_model::sensor::Sensor;
+use presight_read::atomic::write_atomically;
 use presight_render::plan::{Images, Output, Samples};
 use std::io::Write;
 use std::path::Path;
@@ -133,7 +133,7 @@ pub fn write_rays(path: &Path, sensor: &Sensor) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::preset;
+    use presight_read::preset;
 
     #[test]
     fn headers_end_at_a_multiple_of_64() {

@@ -1,8 +1,8 @@
 //! One array of the images of many poses.
 
-use crate::atomic::{keep_rights, open_to_replace, refused, target_of};
 use crate::npy::{Values, header, image_shape};
 use presight_model::error::{Error, Result};
+use presight_read::atomic::{keep_rights, open_to_replace, refused, target_of};
 use presight_render::plan::{Images, Output};
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};

@@ -1,9 +1,9 @@
 //! PCD point clouds, binary and organized: one point per pixel, NaN where nothing is measured.
 
-use super::atomic::write_atomically;
 use super::point_fields::{Field, append_position, fields, in_words};
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
+use presight_read::atomic::write_atomically;
 use presight_render::points::{PointCloud, PointsFrame};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;

@@ -1,9 +1,8 @@
 //! PLY point clouds, binary little-endian: measured points only.
 
-use super::atomic::write_atomically;
 use super::point_fields::{Field, append_position, fields, in_words};
-use glam::DVec3;
 use presight_model::error::Result;
+use presight_read::atomic::write_atomically;
 use presight_render::points::{PointCloud, PointsFrame};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -27,20 +26,6 @@ pub fn write(path: &Path, cloud: &PointCloud<'_>) -> Result<Vec<String>> {
         format!("PLY: {name} has values of 2147483648 and more and is written as uint, which Open3D ignores")
     };
     Ok(unsigned.map(notice).collect())
-}
-
-/// Writes positions alone, as doubles: points in the world, metres.
-///
-/// # Errors
-/// Those of writing.
-pub fn write_positions(out: &mut impl Write, points: &[DVec3]) -> io::Result<()> {
-    write!(
-        out,
-        "ply\nformat binary_little_endian 1.0\ncomment presight world frame, metres\nelement vertex {}\n\
-         property double x\nproperty double y\nproperty double z\nend_header\n",
-        points.len()
-    )?;
-    points.iter().flat_map(|p| p.to_array()).try_for_each(|x| out.write_all(&x.to_le_bytes()))
 }
 
 /// The PLY type of an integer field.
@@ -70,7 +55,7 @@ fn write_to(out: &mut impl Write, cloud: &PointCloud<'_>, fields: &[Field<'_, '_
          element vertex {}\n\
          property {real} x\nproperty {real} y\nproperty {real} z\n{}end_header\n",
         in_words(cloud.frame()),
-        super::exr::pose_to_text(cloud.world_from_sensor()),
+        presight_read::exr::pose_to_text(cloud.world_from_sensor()),
         cloud.seen().count(),
         fields.iter().map(properties).collect::<String>()
     )?;

@@ -1,6 +1,7 @@
 //! The fields of points in PLY and PCD files, except the position.
 
 use glam::{DVec3, Vec3};
+use presight_read::cloud::POINTS_IN_WORLD;
 use presight_render::plan::Output;
 use presight_render::points::{PointCloud, PointsFrame};
 
@@ -8,7 +9,7 @@ use presight_render::points::{PointCloud, PointsFrame};
 pub fn in_words(frame: PointsFrame) -> &'static str {
     match frame {
         PointsFrame::Sensor => "sensor body axes: x forward, y left, z up; metres",
-        PointsFrame::World => "world: z up; metres",
+        PointsFrame::World => POINTS_IN_WORLD,
     }
 }
 
@@ -78,8 +79,12 @@ pub fn append_position(p: DVec3, wide: bool, bytes: &mut Vec<u8>) {
 
 #[cfg(test)]
 pub mod tests {
+    use glam::DVec3;
+    use presight_model::geometry::Pose;
     use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
+    use presight_read::cloud::read;
     use presight_render::plan::{Images, Output, Outputs};
+    use presight_render::points::{PointCloud, PointsFrame};
 
     /// A 3 x 2 camera image with a miss and a pixel that is too near.
     pub fn camera_view() -> (Sensor, Images) {
@@ -90,5 +95,32 @@ pub mod tests {
         images.range.copy_from_slice(&[1.0, 2.0, 3.0, f32::INFINITY, 5.0, f32::NEG_INFINITY]);
         images.polygon_id.copy_from_slice(&[1, 2, 3, 0, u32::MAX, 6]);
         (sensor, images)
+    }
+
+    /// Clouds that presight wrote are read back, in both frames.
+    #[test]
+    fn written_clouds_are_read_again() {
+        let (sensor, images) = camera_view();
+        let pose = Pose::from_xyz_rpy(DVec3::new(10.0, 20.0, 3.0), 0.1, 0.2, 0.3);
+        let folder = tempfile::tempdir().unwrap();
+        let (ply, pcd) = (folder.path().join("a.ply"), folder.path().join("a.pcd"));
+        let truth = PointCloud::new(&images, &sensor, &pose, PointsFrame::Sensor).unwrap();
+        for frame in [PointsFrame::Sensor, PointsFrame::World] {
+            let cloud = PointCloud::new(&images, &sensor, &pose, frame).unwrap();
+            crate::ply::write(&ply, &cloud).unwrap();
+            crate::pcd::write(&pcd, &cloud).unwrap();
+            let there = read(&ply).unwrap();
+            let seen = truth.positions().iter().filter(|p| !p.is_nan());
+            assert!(there.points.iter().zip(seen).all(|(a, b)| a.distance(*b) < 1e-6));
+            assert_eq!((there.points.len(), there.world_from_sensor), (4, Some(pose)));
+            let organized = read(&pcd);
+            if frame == PointsFrame::World {
+                assert!(organized.unwrap_err().to_string().contains("in the world"));
+                continue;
+            }
+            let organized = organized.unwrap();
+            assert_eq!((organized.size, organized.world_from_sensor), (Some((3, 2)), Some(pose)));
+            assert!(organized.points[3].is_nan() && organized.points[1].distance(DVec3::new(2.0, 0.0, 0.0)) < 1e-6);
+        }
     }
 }

@@ -23,6 +23,7 @@ pub mod random;
 pub mod sensor;
 pub mod statistics;
 pub mod threads;
+pub mod union_find;
 pub mod world;
 
 pub use change::Change;

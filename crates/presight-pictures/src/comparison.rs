@@ -2,19 +2,19 @@
 
 use super::canvas::{Canvas, FAINT, INK, PageRect, Rgb, TEXT_HEIGHT, text_width};
 use super::color::{MISS, Palette, grey as gray};
+use super::is_one_row_scan;
 use super::overlay::{LEGEND, Overlay, legend};
+use super::png::{PixelFormat, encode};
 use super::polar::{self, Map};
 use super::scale::Scale;
 use super::top_view::draw_from_above;
 use super::view::{self, FOOTER, HEADER, MARGIN};
-use super::{encode, is_one_row_scan};
 use glam::{DVec2, DVec3};
-use image::ExtendedColorType;
 use presight_features::FeaturePrediction;
-use presight_files::atomic::write_atomically;
 use presight_model::error::{Error, Result};
 use presight_model::measured::GreyImage;
 use presight_model::sensor::Sensor;
+use presight_read::atomic::write_atomically;
 use presight_render::plan::{Images, Output};
 use std::io::BufWriter;
 use std::path::Path;
@@ -88,7 +88,7 @@ const SQUARE: u32 = 16;
 pub fn write_comparison(path: &Path, comparison: &Comparison<'_>) -> Result<()> {
     let canvas = draw(comparison).map_err(|e| e.in_file(path))?;
     write_atomically(path, |file| {
-        encode(BufWriter::new(file), canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
+        encode(BufWriter::new(file), canvas.bytes(), canvas.width(), canvas.height(), PixelFormat::Rgb8)
     })
 }
 

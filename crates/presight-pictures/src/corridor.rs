@@ -1,9 +1,9 @@
 //! A supervised corridor, seen from above.
 
 use super::canvas::{Canvas, FAINT, INK, Rgb, TEXT_HEIGHT, text_width};
+use super::png::{PixelFormat, encode};
 use super::view::{HEADER, MARGIN};
-use super::{encode, write_atomically};
-use image::ExtendedColorType;
+use super::write_atomically;
 use presight_model::error::{Error, Result};
 use std::io::BufWriter;
 use std::path::Path;
@@ -46,7 +46,7 @@ pub fn write_corridor(path: &Path, picture: &CorridorPicture<'_>) -> Result<()> 
     }
     let canvas = draw(picture, rows as u32);
     write_atomically(path, |file| {
-        encode(BufWriter::new(file), canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
+        encode(BufWriter::new(file), canvas.bytes(), canvas.width(), canvas.height(), PixelFormat::Rgb8)
     })
 }
 

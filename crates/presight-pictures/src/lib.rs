@@ -9,6 +9,7 @@ mod map;
 mod overlay;
 mod panels;
 mod pen;
+mod png;
 mod polar;
 mod scale;
 mod screen;
@@ -19,21 +20,20 @@ use canvas::Canvas;
 use color::Palette;
 pub use comparison::{Comparison, GreyMark, GreyPanel, PlanMarks, write_comparison};
 pub use corridor::{CorridorPicture, write_corridor};
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
 pub use map::{GridMap, write_maps};
 pub use overlay::Overlay;
 pub use panels::{Panel, panels_png};
 pub use pen::{Stroke, Style};
-use presight_files::atomic::write_atomically;
+use png::{PixelFormat, encode};
 use presight_model::error::{Error, Result};
 use presight_model::measured::GreyImage;
 use presight_model::sensor::{Geometry, Sensor};
 use presight_predict::virtual_sensors::Mask;
+use presight_read::atomic::write_atomically;
 use presight_render::plan::{Images, Output, Outputs};
 pub use scale::Scale;
 pub use screen::Screen;
-use std::io::{self, BufWriter, Write};
+use std::io::BufWriter;
 use std::path::Path;
 
 /// Writes a preview for people: one output in colours, with title and scale bar. If there is a `polygon_id` image, thin
@@ -78,7 +78,7 @@ pub fn write_preview_with(
     let canvas = preview(images, sensor, output, marks).map_err(|e| e.in_file(path))?;
     write_atomically(path, |file| {
         let out = BufWriter::new(file);
-        encode(out, canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
+        encode(out, canvas.bytes(), canvas.width(), canvas.height(), PixelFormat::Rgb8)
     })
 }
 
@@ -89,7 +89,7 @@ pub fn write_preview_with(
 pub fn preview_png(images: &Images, sensor: &Sensor, output: Output) -> Result<Vec<u8>> {
     let canvas = preview(images, sensor, output, &Marks::default())?;
     let mut bytes = Vec::new();
-    encode(&mut bytes, canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
+    encode(&mut bytes, canvas.bytes(), canvas.width(), canvas.height(), PixelFormat::Rgb8)
         .map_err(|e| Error::invalid(format!("the preview cannot be encoded as PNG: {e}"), ""))?;
     Ok(bytes)
 }
@@ -151,9 +151,9 @@ pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<
         return Err(Error::invalid(format!("there is no {} image", output.name()), "request it").in_file(path));
     };
     let (millimetres, beyond) = to_millimetres(metres);
-    let bytes: Vec<u8> = millimetres.iter().flat_map(|mm| mm.to_ne_bytes()).collect();
+    let bytes: Vec<u8> = millimetres.iter().flat_map(|mm| mm.to_be_bytes()).collect();
     write_atomically(path, |file| {
-        encode(BufWriter::new(file), &bytes, images.width, images.height, ExtendedColorType::L16)
+        encode(BufWriter::new(file), &bytes, images.width, images.height, PixelFormat::Grey16)
     })?;
     let notice = || "16-bit depth images: pixels beyond 65.535 m are written as 0".to_owned();
     Ok((beyond > 0).then(notice).into_iter().collect())
@@ -166,9 +166,9 @@ pub fn write_depth(path: &Path, images: &Images, sensor: &Sensor) -> Result<Vec<
 pub fn write_grey(path: &Path, image: &GreyImage) -> Result<()> {
     // The cast turns NaN into 0.
     let values = image.values().iter().map(|v| (v.clamp(0.0, 1.0) * f32::from(u16::MAX)).round() as u16);
-    let bytes: Vec<u8> = values.flat_map(u16::to_ne_bytes).collect();
+    let bytes: Vec<u8> = values.flat_map(u16::to_be_bytes).collect();
     write_atomically(path, |file| {
-        encode(BufWriter::new(file), &bytes, image.width(), image.height(), ExtendedColorType::L16)
+        encode(BufWriter::new(file), &bytes, image.width(), image.height(), PixelFormat::Grey16)
     })
 }
 
@@ -178,7 +178,7 @@ pub fn write_grey(path: &Path, image: &GreyImage) -> Result<()> {
 /// [`presight_model::ErrorKind::System`] if the file cannot be written.
 pub fn write_mask(path: &Path, mask: &Mask) -> Result<()> {
     let bytes: Vec<u8> = mask.pixels.iter().map(|on| if *on { u8::MAX } else { 0 }).collect();
-    write_atomically(path, |file| encode(BufWriter::new(file), &bytes, mask.width, mask.height, ExtendedColorType::L8))
+    write_atomically(path, |file| encode(BufWriter::new(file), &bytes, mask.width, mask.height, PixelFormat::Grey8))
 }
 
 /// Rounded millimetres, and the number of finite values that did not fit.
@@ -192,16 +192,6 @@ fn to_millimetres(metres: &[f32]) -> (Vec<u16>, usize) {
         if (1.0..=f64::from(u16::MAX)).contains(&mm) { mm as u16 } else { 0 }
     };
     (metres.iter().map(convert).collect(), beyond)
-}
-
-fn encode(mut out: impl Write, bytes: &[u8], width: u32, height: u32, kind: ExtendedColorType) -> io::Result<()> {
-    PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive)
-        .write_image(bytes, width, height, kind)
-        .map_err(|e| match e {
-            image::ImageError::IoError(e) => e,
-            other => io::Error::other(other),
-        })?;
-    out.flush()
 }
 
 #[cfg(test)]

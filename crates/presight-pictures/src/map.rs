@@ -2,10 +2,10 @@
 
 use super::canvas::{Canvas, INK, PAGE};
 use super::color::{MISS, TOO_NEAR, by_distance};
+use super::png::{PixelFormat, encode};
 use super::scale::Scale;
 use super::view::{FOOTER, HEADER, MARGIN, bar};
-use super::{encode, write_atomically};
-use image::ExtendedColorType;
+use super::write_atomically;
 use presight_model::error::{Error, Result};
 use std::io::BufWriter;
 use std::path::Path;
@@ -45,7 +45,7 @@ pub fn write_maps(path: &Path, maps: &[GridMap<'_>]) -> Result<()> {
     }
     let canvas = draw(maps);
     write_atomically(path, |file| {
-        encode(BufWriter::new(file), canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
+        encode(BufWriter::new(file), canvas.bytes(), canvas.width(), canvas.height(), PixelFormat::Rgb8)
     })
 }
 

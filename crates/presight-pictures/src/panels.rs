@@ -2,12 +2,12 @@
 
 use super::canvas::{Canvas, FAINT, INK, PageRect, Rgb, text_width};
 use super::color::{Palette, by_distance};
+use super::is_one_row_scan;
+use super::png::{PixelFormat, encode};
 use super::polar::hits;
 use super::scale::Scale;
 use super::view::{FOOTER, HEADER, MARGIN, bar, drawn_size, is_mirrored};
-use super::{encode, is_one_row_scan};
 use glam::{DVec2, DVec3};
-use image::ExtendedColorType;
 use presight_model::error::{Error, Result};
 use presight_model::sensor::Sensor;
 use presight_render::plan::{Images, Output};
@@ -42,7 +42,7 @@ pub struct Panel<'a> {
 pub fn panels_png(panels: &[Panel<'_>], sensor: &Sensor, around: &[DVec3]) -> Result<Vec<u8>> {
     let canvas = drawn(panels, sensor, around)?;
     let mut bytes = Vec::new();
-    encode(&mut bytes, canvas.bytes(), canvas.width(), canvas.height(), ExtendedColorType::Rgb8)
+    encode(&mut bytes, canvas.bytes(), canvas.width(), canvas.height(), PixelFormat::Rgb8)
         .map_err(|e| Error::invalid(format!("the picture cannot be encoded as PNG: {e}"), ""))?;
     Ok(bytes)
 }

@@ -3,8 +3,6 @@
 use super::merge;
 use super::op::{InsertObject, Op, TrustFields, affine_of, covariance_of, pose_of};
 use glam::{DVec3, Vec3};
-use presight_files::layer::from_fields;
-use presight_files::text::check_name;
 use presight_model::change::Change;
 use presight_model::environment::{DEFAULT_TOLERANCE, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::error::{Error, Result};
@@ -12,6 +10,8 @@ use presight_model::geometry::Pose;
 use presight_model::index::IndexKind;
 use presight_model::limits;
 use presight_model::world::World;
+use presight_read::layer::from_fields;
+use presight_read::text::check_name;
 use std::path::Path;
 use std::sync::Arc;
 

@@ -4,9 +4,9 @@ use super::hash::Digest;
 use super::rows::Meta;
 use super::schema::{APPLICATION_ID, FORMAT, TABLES, refusal};
 use super::{Note, Store};
-use presight_files::temporary::{Access, Temporary};
 use presight_model::environment::Environment;
 use presight_model::error::{Error, ErrorKind, Result};
+use presight_read::temporary::{Access, Temporary};
 use rusqlite::{Connection, OpenFlags};
 use std::path::{Path, PathBuf};
 

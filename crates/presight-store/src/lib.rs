@@ -52,12 +52,12 @@ pub use op::pose_of;
 pub use scene::{Existing, SceneMerge};
 pub use write::{ChangeBatch, Note};
 
-use presight_files::layer::LayerFile;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Mesh};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::index::{IndexKind, WorldIndex};
 use presight_model::world::World;
+use presight_read::layer::LayerFile;
 use rows::Meta;
 use rusqlite::Connection;
 use schema::{Access, check_identity, connect, refusal};

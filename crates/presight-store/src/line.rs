@@ -3,10 +3,10 @@
 use super::context::Context;
 use super::op::{Op, Was};
 use super::unique::UniqueKeys;
-use presight_files::text::check_json_memory;
 use presight_model::error::{Error, Result};
 use presight_model::placement;
 use presight_model::world::World;
+use presight_read::text::check_json_memory;
 use serde_json::Value;
 use std::path::Path;
 

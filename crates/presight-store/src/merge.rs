@@ -1,10 +1,10 @@
 //! Turns the content of layer files, and of objects in scene files, into changes of an environment.
 
-use presight_files::gltf::{ImportOptions, import};
-use presight_files::layer::LayerFile;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Feature, FeatureLayer, Material, Mesh};
 use presight_model::error::{Error, Result};
+use presight_read::gltf::{ImportOptions, import};
+use presight_read::layer::LayerFile;
 use std::path::Path;
 use std::sync::Arc;
 

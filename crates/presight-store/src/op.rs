@@ -24,11 +24,11 @@
 //! A `pose` is x, y, z in metres and roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw.
 
 use glam::{DAffine3, DQuat, DVec3};
-use presight_files::layer::{FeatureFields, to_fields};
 use presight_model::change::Change;
 use presight_model::environment::{Appearance, Environment, Existence, Mark, MarkKind, Material, Mesh};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Aabb, InObject, Pose, PoseCovariance};
+use presight_read::layer::{FeatureFields, to_fields};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

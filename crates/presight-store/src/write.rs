@@ -11,12 +11,12 @@ use super::rows::{
 };
 use super::schema::refusal;
 use super::{Store, blob, ids, meshes, read};
-use presight_files::layer::to_fields;
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Mesh};
 use presight_model::error::{Error, Result};
 use presight_model::placement;
 use presight_model::world::World;
+use presight_read::layer::to_fields;
 use rusqlite::{OptionalExtension, Params, ToSql, params};
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -8,11 +8,8 @@ pub mod index;
 pub mod index_study;
 #[cfg(feature = "report")]
 mod machine;
-#[cfg(feature = "report")]
 pub mod page;
 pub mod pick;
-#[cfg(feature = "report")]
-pub mod replay;
 #[cfg(feature = "report")]
 pub mod stability;
 #[cfg(feature = "report")]

@@ -1,11 +1,11 @@
 //! Real scenes and sensors.
 
 use super::skip::skip;
-use presight_files::gltf::{ImportOptions, import};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::free_poses::free_poses;
+use presight_read::gltf::{ImportOptions, import};
 use std::path::PathBuf;
 
 /// The scenes on which every engine is tested.
@@ -42,7 +42,7 @@ pub fn poses(world: &World, n: usize, seed: u64) -> Vec<Pose> {
 
 /// Every preset sensor.
 pub fn presets() -> Vec<Sensor> {
-    presight_model::sensor::PRESETS.iter().map(|p| presight_files::preset(p.name).expect("a sound preset")).collect()
+    presight_model::sensor::PRESETS.iter().map(|p| presight_read::preset(p.name).expect("a sound preset")).collect()
 }
 
 /// A selection of `share` presets. Consecutive poses, or consecutive turns at one pose, cover all presets.

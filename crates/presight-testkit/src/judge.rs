@@ -2,10 +2,10 @@
 
 use super::oracle::Oracle;
 use glam::DVec3;
-use presight_files::log::{Frames, Observation};
 use presight_model::environment::Environment;
 use presight_model::geometry::Pose;
 use presight_model::measured::Frame;
+use presight_read::log::{Frames, Observation};
 use std::path::Path;
 
 /// A frame with the pose of its sensor.

@@ -6,11 +6,11 @@ use crate::located::{Eye, Sums, located};
 use crate::sightings::{Kind, Sighting, Track, Tracks, place_of};
 use crate::view::BOUND;
 use glam::{DMat3, DVec3};
-use presight_files::layer::to_fields;
 use presight_localize::extract::{FeatureClass, FeatureFinding, FeatureFindings};
 use presight_model::environment::{Environment, Existence, Feature, FeatureShape, Properties};
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::measured::Frame;
+use presight_read::layer::to_fields;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -339,7 +339,7 @@ mod tests {
 
     fn scan() -> Frame {
         let text = "format = 1\nkind = \"scanner\"\nclass = \"laser\"\nrange_max = 20\n[azimuth]\nstart_deg = -90\nstep_deg = 1\ncount = 181\n[elevation]\nstart_deg = 0\nstep_deg = 1\ncount = 1\n";
-        let spec = presight_files::sensor_toml::parse(text, "scan", None).unwrap();
+        let spec = presight_read::sensor_toml::parse(text, "scan", None).unwrap();
         let sensor = presight_model::sensor::Sensor::new(spec).unwrap();
         Frame::new(0.0, sensor, presight_model::measured::Measurement::Range(vec![1.0; 181])).unwrap()
     }

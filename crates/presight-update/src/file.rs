@@ -3,12 +3,12 @@
 use crate::caster::Caster;
 use crate::evidence::Evidence;
 use crate::learn::Learner;
-use presight_files::atomic::write_atomically;
 use presight_model::environment::Environment;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
 use presight_model::limits;
 use presight_model::world::World;
+use presight_read::atomic::write_atomically;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::Write;

@@ -2,7 +2,6 @@
 
 use crate::recognize::{Proposal, Recognizer};
 use glam::DVec3;
-use presight_files::ply;
 use presight_model::clock::Instant;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_store::pose_of;
@@ -123,9 +122,16 @@ impl Recognizer for ProgramRecognizer {
     }
 }
 
+/// Writes points in the world as PLY.
 fn write_points(stdin: impl Write, points: &[DVec3]) -> std::io::Result<()> {
     let mut out = BufWriter::new(stdin);
-    ply::write_positions(&mut out, points)?;
+    write!(
+        out,
+        "ply\nformat binary_little_endian 1.0\ncomment presight world frame, metres\nelement vertex {}\n\
+         property double x\nproperty double y\nproperty double z\nend_header\n",
+        points.len()
+    )?;
+    points.iter().flat_map(|p| p.to_array()).try_for_each(|x| out.write_all(&x.to_le_bytes()))?;
     out.flush()
 }
 

@@ -1,10 +1,10 @@
 //! Meshes of things that may stand somewhere: files of a folder, and the model's own objects.
 
 use glam::{DAffine3, DVec3};
-use presight_files::gltf::{ImportOptions, import};
 use presight_model::environment::{Environment, Mesh, NewObject, Object};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Aabb, Pose};
+use presight_read::gltf::{ImportOptions, import};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -87,7 +87,7 @@ impl Shape {
 /// # let folder = tempfile::tempdir()?;
 /// # let mut environment = Environment::new();
 /// # environment.add_cuboid("pallet", Pose::IDENTITY, glam::DVec3::new(1.2, 0.8, 0.144))?;
-/// # presight_files::gltf::write_glb(&folder.path().join("pallet.glb"), &environment)?;
+/// # presight_read::gltf::write_glb(&folder.path().join("pallet.glb"), &environment)?;
 /// let (library, notices) = Library::open(folder.path())?;
 /// assert_eq!(library.shapes()[0].name(), "pallet");
 /// assert!(notices.is_empty());

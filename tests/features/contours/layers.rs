@@ -4,13 +4,13 @@ use super::bodies::prism;
 use super::{contour, layer, pinhole, see, side_of, world};
 use glam::{DVec3, Vec3};
 use presight_features::place;
-use presight_files::layer::{parse, to_string};
 use presight_model::change::Change;
 use presight_model::environment::FeatureShape;
 use presight_model::environment::{Mesh, Polygon, PolygonOrder};
 use presight_model::geometry::Pose;
 use presight_model::placement::place_layer;
 use presight_model::world::World;
+use presight_read::layer::{parse, to_string};
 
 fn post() -> World {
     world(vec![("post", DVec3::new(4.0, 0.0, -1.0), prism(24, 0.3, 2.0, true))])

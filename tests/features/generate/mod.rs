@@ -152,8 +152,8 @@ fn rays_confirm_the_edges_of_real_models() {
             .collect();
         assert_eq!(edges.len(), FeatureKind::ALL[..4].iter().map(|k| generated.counts.of(*k)).sum::<usize>());
         // The layer is valid, and its file reads back the same.
-        let text = presight_files::layer::to_string(&generated.layer).expect("a valid layer");
-        assert!(presight_files::layer::parse(&text).expect("the layer's own text").layer == generated.layer, "{name}");
+        let text = presight_read::layer::to_string(&generated.layer).expect("a valid layer");
+        assert!(presight_read::layer::parse(&text).expect("the layer's own text").layer == generated.layer, "{name}");
         let (right, shifted) = shares(&world, &edges, 1000, 7);
         eprintln!(
             "{name}: {:?} in {seconds:.2} s, confirmed {right:.3}, shifted by 5 cm {shifted:.3}",

@@ -4,10 +4,10 @@ use super::common::{Random, data};
 use glam::{DMat3, DVec3, Vec3};
 use presight_features::generate::{FeatureKind, GenerateOptions, GeneratedLayer, generate};
 use presight_features::place;
-use presight_files::gltf::{ImportOptions, import};
 use presight_model::environment::{Environment, FeatureShape, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::geometry::{Aabb, Pose};
 use presight_model::world::World;
+use presight_read::gltf::{ImportOptions, import};
 use std::collections::HashMap;
 
 /// Features of today's rule, for which planes are exact, and of the noise.

@@ -1,8 +1,8 @@
 //! A case for every way in which a scene file can be broken: a one-line error with file, place and remedy.
 
 use crate::build::*;
-use presight_files::gltf::import;
 use presight_model::error::{Error, ErrorKind};
+use presight_read::gltf::import;
 use serde_json::{Value, json};
 
 struct Case {

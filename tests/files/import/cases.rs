@@ -2,8 +2,8 @@
 
 use crate::build::SOURCE;
 use glam::DVec3;
-use presight_files::gltf::{ImportOptions, import};
-use presight_files::preparation::{ImportReport, ImportedScene, ProblemKind};
+use presight_read::gltf::{ImportOptions, import};
+use presight_read::preparation::{ImportReport, ImportedScene, ProblemKind};
 use std::path::{Path, PathBuf};
 
 fn case(name: &str, file: &str) -> PathBuf {

@@ -2,10 +2,10 @@
 
 use crate::build::*;
 use glam::{DMat3, DQuat, DVec3};
-use presight_files::gltf::{ImportOptions, import};
-use presight_files::preparation::ProblemKind;
 use presight_model::environment::Appearance;
 use presight_model::error::ErrorKind;
+use presight_read::gltf::{ImportOptions, import};
+use presight_read::preparation::ProblemKind;
 use serde_json::json;
 use std::sync::Arc;
 
@@ -280,7 +280,7 @@ fn a_site_in_utm_metres_keeps_its_millimetres() {
         {"mesh": 0},
         {"mesh": 0, "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.0001, 0, 0, 1]},
     ]);
-    let check = |read: presight_files::preparation::ImportedScene| {
+    let check = |read: presight_read::preparation::ImportedScene| {
         let [a, b] = [0, 1].map(|i| read.environment.objects()[i].world_from_object.translation);
         assert!((a - DVec3::new(4469320.2512, 5333710.5021, 0.0)).length() < 1e-9, "{a}");
         assert!(((b - a).x - 1e-4).abs() < 2e-9);

@@ -2,9 +2,9 @@
 
 use crate::build::*;
 use glam::DVec3;
-use presight_files::gltf::import_bytes;
-use presight_files::preparation::{ImportedScene, ProblemKind};
 use presight_model::error::ErrorKind;
+use presight_read::gltf::import_bytes;
+use presight_read::preparation::{ImportedScene, ProblemKind};
 use serde_json::{Value, json};
 
 fn bytes(values: &[f32]) -> Vec<u8> {

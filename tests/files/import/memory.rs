@@ -1,9 +1,9 @@
 //! Small files that need gigabytes are refused before any allocation, and shared data are read once.
 
 use crate::build::*;
-use presight_files::gltf::import;
 use presight_model::error::{Error, ErrorKind};
 use presight_model::limits::MAX_IMPORT_BYTES;
+use presight_read::gltf::import;
 use serde_json::{Value, json};
 use std::fs::File;
 use std::time::{Duration, Instant};
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 /// Long for a task of a second, short for data that are read again and again.
 const SOON: Duration = Duration::from_secs(15);
 
-fn refused(name: &str, outcome: Result<presight_files::preparation::ImportedScene, Error>, words: &[&str]) {
+fn refused(name: &str, outcome: Result<presight_read::preparation::ImportedScene, Error>, words: &[&str]) {
     let e = outcome.map(|read| read.report).expect_err(name);
     let text = e.to_string();
     assert_eq!(e.kind(), ErrorKind::Invalid, "{name}: {text}");

@@ -1,9 +1,9 @@
 //! Parts of a file that shape the scene and are not followed: each has one line with the number of objects.
 
 use crate::build::*;
-use presight_files::gltf::import_bytes;
-use presight_files::preparation::ProblemKind;
 use presight_model::environment::Appearance;
+use presight_read::gltf::import_bytes;
+use presight_read::preparation::ProblemKind;
 use serde_json::json;
 
 fn notices(g: &Gltf) -> Vec<String> {

@@ -2,8 +2,8 @@
 
 use crate::build::SOURCE;
 use glam::DVec3;
-use presight_files::gltf::{ImportOptions, import};
-use presight_files::preparation::ProblemKind;
+use presight_read::gltf::{ImportOptions, import};
+use presight_read::preparation::ProblemKind;
 use presight_testkit::data;
 use std::path::{Path, PathBuf};
 

@@ -1,9 +1,9 @@
 //! Valid files are read: a file with every property of the schema, without each of them in turn.
 
 use crate::build::*;
-use presight_files::gltf::{ImportOptions, import};
-use presight_files::preparation::ImportedScene;
 use presight_model::error::{Error, ErrorKind};
+use presight_read::gltf::{ImportOptions, import};
+use presight_read::preparation::ImportedScene;
 use serde_json::{Value, json};
 
 /// The required properties of the schema that presight uses; `*` is any number.

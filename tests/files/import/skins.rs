@@ -2,8 +2,8 @@
 
 use crate::build::*;
 use glam::DVec3;
-use presight_files::preparation::ImportedScene;
 use presight_model::error::ErrorKind;
+use presight_read::preparation::ImportedScene;
 use serde_json::{Value, json};
 use std::sync::Arc;
 

@@ -3,11 +3,11 @@
 use super::{BOX, CUBOID_FACES, INSIDE, ROOM, check_on_cpu, corners, cube, one_sided};
 use crate::build::{Folder, Gltf, U16};
 use glam::{DAffine3, DVec3};
-use presight_files::gltf::{ImportOptions, import, write_glb};
 use presight_model::change::Change;
 use presight_model::environment::{Environment, NewObject};
 use presight_model::geometry::Pose;
 use presight_model::world::World;
+use presight_read::gltf::{ImportOptions, import, write_glb};
 use serde_json::{Value, json};
 
 /// A file with the cube as mesh 0, of a one-sided material; its front sides are outside, or inside.
@@ -122,7 +122,7 @@ fn a_script_mirrors_shapes_and_imports_mirrored_nodes() {
     let folder = Folder::new();
     let load = |text: &str| {
         let path = folder.write("s.rhai", text.as_bytes());
-        presight_files::script::load(path, &ImportOptions::default(), &mut |_| {}).unwrap().environment
+        presight_read::script::load(path, &ImportOptions::default(), &mut |_| {}).unwrap().environment
     };
     let plate = "material(\"plate\", #{ one_sided: true });\n";
     // A box stands on its frame's floor.

@@ -411,7 +411,7 @@ fn buffers_of_models_that_lead_outside() {
     let folder = with_link_to(&|folder| folder.join("real.bin"));
     load(&folder.path().join("scene.rhai")).0.unwrap();
     let outside = with_link_to(&|_| secret.path().join("m.bin"));
-    presight_files::gltf::import(outside.path().join("m.gltf"), &Default::default()).unwrap();
+    presight_read::gltf::import(outside.path().join("m.gltf"), &Default::default()).unwrap();
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! Calls every documented function: each case names one signature, and its script checks the result.
 
 use super::{load, run};
-use presight_files::script::reference;
 use presight_model::environment::{Appearance, FeatureShape};
+use presight_read::script::reference;
 
 /// A signature and a script; a floor is placed before it.
 const CASES: &[(&str, &str)] = &[
@@ -330,7 +330,7 @@ fn groups_of_imported_models_are_placed_with_them() {
     let part =
         run("let a = assembly(); a.add(\"lid\", box(1, 1, 1), pose(1, 0, 0)); place(\"cart\", a, pose(0, 2, 0));")
             .unwrap();
-    presight_files::gltf::write_glb(&folder.path().join("part.glb"), &part.environment).unwrap();
+    presight_read::gltf::write_glb(&folder.path().join("part.glb"), &part.environment).unwrap();
     let path = folder.path().join("scene.rhai");
     let text = "let p = import_gltf(\"part.glb\"); place(\"a\", p, pose(0, 0, 3, 90)); place(\"a\", p); let q = p; q.add(\"top\", box(1, 1, 1)); place(\"b\", q);";
     std::fs::write(&path, text).unwrap();
@@ -380,7 +380,7 @@ fn imported_objects_are_placed_with_their_materials() {
     )
     .unwrap();
     let scene = load(&path).0.unwrap();
-    let alone = presight_files::gltf::import("scenes/room.glb", &Default::default()).unwrap();
+    let alone = presight_read::gltf::import("scenes/room.glb", &Default::default()).unwrap();
     let (e, room) = (&scene.environment, &alone.environment);
     assert_eq!(e.objects().len(), 2 * room.objects().len());
     for (i, object) in room.objects().iter().enumerate() {

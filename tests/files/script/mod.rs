@@ -6,8 +6,8 @@ mod same;
 mod scenes;
 mod size;
 
-use presight_files::preparation::ImportedScene;
-use presight_files::script;
+use presight_read::preparation::ImportedScene;
+use presight_read::script;
 use presight_testkit as common;
 use std::path::Path;
 

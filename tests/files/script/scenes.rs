@@ -16,7 +16,7 @@ fn world(name: &str) -> World {
 }
 
 fn sensor(file: &str) -> Sensor {
-    presight_files::load_sensor(&format!("scenes/{file}.toml")).unwrap().0
+    presight_read::load_sensor(&format!("scenes/{file}.toml")).unwrap().0
 }
 
 /// The images of every engine with its name, each compared with the reference.
@@ -115,7 +115,7 @@ fn behind() {
 fn empty() {
     let world = world("empty");
     for sensor in
-        [sensor("small"), presight_files::preset("laser-scanner").unwrap(), presight_files::preset("vlp-16").unwrap()]
+        [sensor("small"), presight_read::preset("laser-scanner").unwrap(), presight_read::preset("vlp-16").unwrap()]
     {
         for (name, images) in seen(&world, &sensor) {
             assert!(images.range.iter().all(|r| *r == f32::INFINITY), "{name}");

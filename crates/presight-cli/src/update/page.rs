@@ -8,8 +8,8 @@ use presight::tools::write_atomically;
 use presight::update::{Doubt, Finding, Findings, Look, Sight, What};
 use presight::{Backend, Change, Images, Options, Output, Outputs, Predictor, Result, Scene, Sensor, World};
 use presight_pictures::{Panel, panels_png};
+use presight_studies::page::{Label, Part, Section, Strip, page};
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Write as _;
 use std::io::Write;
 use std::path::Path;
 
@@ -42,39 +42,36 @@ impl Shown<'_> {
     pub fn write(&self, out: &Path) -> Result<()> {
         let frames = self.frames()?;
         let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
-        let mut body = String::new();
-        for (number, finding) in self.findings.changes.iter().enumerate() {
-            let frame = finding.sight.as_ref().and_then(|sight| frames.get(&key(sight)));
-            let (kind, color) = kind(&finding.what);
-            let text = told(finding);
-            let told = escaped(text.split_once(": ").map_or(&*text, |(_, rest)| rest));
-            let name = number + 1;
-            let _ = write!(body, "<section><h2>{name}. <b style=\"background:{color}\">{kind}</b>{told}</h2>");
-            if let Some(frame) = frame {
-                let file = format!("{name:03}.png");
-                let png = self.picture(&mut predictor, (finding, &self.without(number)), frame)?;
-                write_atomically(&out.join(&file), |to| to.write_all(&png))?;
-                let _ = write!(
-                    body,
-                    "<figure><img src=\"{file}\" alt=\"measurement between predictions\"><figcaption>At {} s. If the right \
-                     picture is more like the middle one than the left is, the change is right.</figcaption></figure>",
-                    frame.stamp
-                );
-            }
-            body += &growth(finding, self.args.sure);
-            body += "</section>";
-        }
-        body += &self.doubts(&mut predictor, out)?;
         // Counts first. The pictures below show each change.
         let (head, rest) =
             self.told.match_indices('\n').nth(2).map_or((self.told, ""), |(at, _)| self.told.split_at(at));
-        let html = format!(
-            "<!doctype html><meta charset=\"utf-8\"><title>Update</title><style>{STYLE}</style><h1>{}</h1><pre>{}</pre>\
-             <details><summary>All findings and doubts</summary><pre>{}</pre></details>{body}",
-            escaped(&self.args.drive.map.display().to_string()),
-            escaped(head),
-            escaped(rest)
-        );
+        let all = Part::Details { summary: "As text".into(), text: rest.trim_start_matches('\n').into() };
+        let mut sections =
+            vec![Section { title: "All findings and doubts".into(), parts: vec![all], ..Section::default() }];
+        for (number, finding) in self.findings.changes.iter().enumerate() {
+            let frame = finding.sight.as_ref().and_then(|sight| frames.get(&key(sight)));
+            let text = told(finding);
+            let told = text.split_once(": ").map_or(&*text, |(_, rest)| rest);
+            let mut parts = Vec::new();
+            if let Some(frame) = frame {
+                let file = format!("{:03}.png", number + 1);
+                let png = self.picture(&mut predictor, (finding, &self.without(number)), frame)?;
+                write_atomically(&out.join(&file), |to| to.write_all(&png))?;
+                let caption = format!(
+                    "At {} s. If the right picture is more like the middle one than the left is, the change is right.",
+                    frame.stamp
+                );
+                parts.push(Part::Image { file, alt: "measurement between predictions", caption });
+            }
+            parts.extend(growth(finding, self.args.sure));
+            sections.push(Section {
+                title: format!("{}. {told}", number + 1),
+                label: Some(label(&finding.what)),
+                parts,
+            });
+        }
+        self.doubts(&mut predictor, out, &mut sections)?;
+        let html = page(&self.args.drive.map.display().to_string(), head, &sections);
         write_atomically(&out.join("index.html"), |file| file.write_all(html.as_bytes()))
     }
 
@@ -97,27 +94,23 @@ impl Shown<'_> {
         Ok(frames)
     }
 
-    /// The objects in doubt, each as it would be seen from the best free pose without and with it.
-    fn doubts(&self, predictor: &mut Predictor, out: &Path) -> Result<String> {
+    /// Adds a section for each object in doubt: how it would look from the best free pose without and with it.
+    fn doubts(&self, predictor: &mut Predictor, out: &Path, sections: &mut Vec<Section>) -> Result<()> {
         let sensors = self.sensors()?;
-        let mut body = String::new();
         for (number, doubt) in self.findings.doubts.iter().enumerate().take(MOST_DOUBTS) {
-            let text = escaped(&format!("{}: {}{}", doubt.object, doubt.why, look_from(doubt.look.as_ref())));
-            let _ = write!(body, "<section><h2><b style=\"background:#777\">doubtful</b>{text}</h2>");
+            let mut parts = Vec::new();
             let sensor = doubt.look.as_ref().and_then(|look| Some((look, sensors.get(&look.sensor)?)));
             if let Some((look, sensor)) = sensor {
                 let file = format!("doubt-{:03}.png", number + 1);
                 let png = self.expected(predictor, doubt, (look, sensor))?;
                 write_atomically(&out.join(&file), |to| to.write_all(&png))?;
-                let _ = write!(
-                    body,
-                    "<figure><img src=\"{file}\" alt=\"predictions without and with it\"><figcaption>From the free pose that tells \
-                     most.</figcaption></figure>"
-                );
+                let caption = "From the free pose that tells most.".into();
+                parts.push(Part::Image { file, alt: "predictions without and with it", caption });
             }
-            body += "</section>";
+            let title = format!("{}: {}{}", doubt.object, doubt.why, look_from(doubt.look.as_ref()));
+            sections.push(Section { title, label: Some(Label { text: "doubtful", color: "#777" }), parts });
         }
-        Ok(body)
+        Ok(())
     }
 
     /// The predictions without and with an object in doubt, from the pose to look from.
@@ -195,50 +188,27 @@ impl Shown<'_> {
 }
 
 /// The evidence view by view, with the odds that decide as dashed lines.
-fn growth(finding: &Finding, sure: f64) -> String {
-    const WIDE: f32 = 420.0;
-    let steps = &finding.growth;
-    let sure = sure as f32;
-    if steps.is_empty() {
-        return String::new();
-    }
-    let most = steps.iter().fold(1.4 * sure, |most, l| most.max(l.abs()));
-    let x = |k: usize| WIDE * k as f32 / steps.len() as f32;
-    let y = |l: f32| 50.0 - 46.0 * l / most;
-    let points: Vec<String> = std::iter::once(format!("0,{:.1}", y(0.0)))
-        .chain(steps.iter().enumerate().map(|(k, l)| format!("{:.1},{:.1}", x(k + 1), y(*l))))
-        .collect();
-    let line = |l: f32| format!("M0 {:.1}H{WIDE}", y(l));
-    format!(
-        "<figure><svg viewBox=\"0 0 {WIDE} 100\" width=\"{WIDE}\" height=\"100\"><path d=\"{}\" stroke=\"#999\"/><path d=\"{}{}\" \
-         stroke=\"#999\" stroke-dasharray=\"4 4\"/><polyline points=\"{}\" fill=\"none\" stroke=\"#06c\" stroke-width=\"2\"/></svg>\
-         <figcaption>log-odds that it stands there, over {} views: {:.0} at the end; dashed: what decides</figcaption></figure>",
-        line(0.0),
-        line(sure),
-        line(-sure),
-        points.join(" "),
-        steps.len(),
-        steps.last().copied().unwrap_or_default()
-    )
+fn growth(finding: &Finding, sure: f64) -> Option<Part> {
+    let last = finding.growth.last()?;
+    let values: Vec<Option<f64>> =
+        std::iter::once(0.0).chain(finding.growth.iter().map(|l| f64::from(*l))).map(Some).collect();
+    let caption = format!(
+        "log-odds that it stands there, over {} views: {last:.0} at the end; dashed: what decides",
+        finding.growth.len()
+    );
+    let strip = Strip { name: "log-odds".into(), values, levels: vec![-sure, 0.0, sure], logarithmic: false };
+    Some(Part::Strip { strip, caption })
 }
 
-/// The kind of a finding, in one or two words, and its colour.
-fn kind(what: &What) -> (&'static str, &'static str) {
-    match what {
+/// The kind of a finding, with its colour.
+fn label(what: &What) -> Label {
+    let (text, color) = match what {
         What::Gone => ("gone", "#c33"),
         What::Moved { .. } => ("moved", "#b60"),
         What::New(_) | What::Recognized(_) => ("new", "#283"),
         What::Part(_) => ("part gone", "#c33"),
         What::SeenThrough(_) => ("seen through", "#639"),
         What::ComesAndGoes => ("comes and goes", "#639"),
-    }
-}
-
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:98rem;padding:0 1rem}figure{margin:0}\
-    img{max-width:100%}figcaption{color:#555;max-width:36rem}section{border-top:1px solid #ccc;padding-bottom:1rem;display:flex;flex-wrap:wrap;\
-    gap:1rem 2rem;align-items:center}h2{font-size:1.1rem;margin:.8rem 0;width:100%}h2 b{color:#fff;border-radius:3px;padding:.1rem .5rem;\
-    margin-right:.4rem}pre{white-space:pre-wrap}";
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+    };
+    Label { text, color }
 }

@@ -48,7 +48,7 @@ fn frames_have_the_bits_of_predictions() {
     let asked = json!({ "pose": POSE, "outputs": ["range", "polygon_id"], "features": true, "seq": 7 });
     let (told, bytes) = parts(session.answer("frame", asked.to_string().as_bytes()));
     let room = Scene::open(scene("room.glb")).unwrap();
-    let (sensor, _) = load_sensor("video-camera").unwrap();
+    let (sensor, _) = files::load_sensor("video-camera").unwrap();
     let [x, y, z, roll, pitch, yaw] = POSE;
     let [roll, pitch, yaw] = [roll, pitch, yaw].map(f64::to_radians);
     let pose = Pose::from_xyz_rpy(glam::DVec3::new(x, y, z), roll, pitch, yaw);
@@ -305,7 +305,7 @@ fn the_map_is_that_of_a_whole_study_after_every_change() {
     };
     let fresh = |path: &Path| {
         let room = Scene::open(scene("room.glb")).unwrap();
-        let (sensor, _) = load_sensor("video-camera").unwrap();
+        let (sensor, _) = files::load_sensor("video-camera").unwrap();
         let mut spec = sensor.spec().clone();
         spec.noise.pixel_sigma = 1.0;
         spec.mount.translation.z = 1.0;

@@ -1,10 +1,10 @@
 //! A drive along two machines of the factory, which a rough model has as boxes. The bench has it, too.
 
 use glam::DVec3;
-use presight_files::script::load;
 use presight_model::environment::Environment;
 use presight_model::geometry::Pose;
 use presight_model::sensor::{Camera, Geometry, Noise, Sensor, SensorSpec};
+use presight_read::script::load;
 use presight_testkit::caster::Caster;
 use presight_testkit::judge::Placed;
 

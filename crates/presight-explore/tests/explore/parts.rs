@@ -3,33 +3,26 @@
 use glam::DVec3;
 use presight_model::environment::Environment;
 use presight_model::geometry::Aabb;
+use presight_model::union_find::UnionFind;
 use presight_testkit::judge::Placed;
 use presight_testkit::oracle::Oracle;
 use std::collections::{BTreeMap, HashMap};
 
 /// For each slot the part of its polygon: polygons that share a corner, to a millimetre, are one part.
 fn parts(real: &Environment) -> HashMap<u32, usize> {
-    fn root(into: &mut [usize], mut i: usize) -> usize {
-        while into[i] != i {
-            into[i] = into[into[i]];
-            i = into[i];
-        }
-        i
-    }
-    let (mut corners, mut into, mut of_slot) = (HashMap::<[i64; 3], usize>::new(), Vec::new(), Vec::new());
+    let count = real.objects().iter().map(|object| object.mesh.polygon_count()).sum();
+    let (mut corners, mut parts, mut of_slot) = (HashMap::<[i64; 3], u32>::new(), UnionFind::new(count), Vec::new());
     for object in real.objects().iter().filter(|o| !o.is_deleted()) {
         for polygon in 0..object.mesh.polygon_count() as u32 {
-            let own = into.len();
-            into.push(own);
+            let own = of_slot.len() as u32;
             of_slot.push(object.first_slot + polygon);
             for p in object.polygon_in_world(polygon) {
                 let first = *corners.entry((1e3 * p).round().to_array().map(|c| c as i64)).or_insert(own);
-                let (a, b) = (root(&mut into, first), root(&mut into, own));
-                into[b] = a;
+                parts.join_to(first, own);
             }
         }
     }
-    of_slot.into_iter().enumerate().map(|(k, slot)| (slot, root(&mut into, k))).collect()
+    of_slot.into_iter().enumerate().map(|(k, slot)| (slot, parts.root(k as u32) as usize)).collect()
 }
 
 /// A ray of the drive: where it starts, its direction, where it ends and the cosine of incidence.

@@ -142,8 +142,8 @@ impl Projection for Image<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight_files::preset;
     use presight_model::sensor::PRESETS;
+    use presight_read::preset;
 
     #[test]
     fn derivatives_are_those_of_the_projection() {

@@ -9,6 +9,7 @@ use glam::DVec3;
 use presight_model::error::Result;
 use presight_model::geometry::Aabb;
 use presight_model::index::{Params, QueryResult, Region, Skd, SpatialIndex};
+use presight_model::union_find::UnionFind;
 
 /// Largest mean thickness of a solid, metres: three times the volume divided by the area. A cube of 2 m or a wide slab
 /// of 0.67 m has this value. A thicker part may be a room.
@@ -38,16 +39,15 @@ struct Sum {
 
 impl Solids {
     pub fn new(soup: &Soup) -> Self {
-        let mut parent: Vec<u32> = (0..soup.vertex_count).collect();
+        let mut parts = UnionFind::new(soup.vertex_count as usize);
         for face in 0..soup.faces.len() as u32 {
             for pair in soup.vertices(face).windows(2) {
-                let (a, b) = (root(&mut parent, pair[0]), root(&mut parent, pair[1]));
-                parent[a.max(b) as usize] = a.min(b);
+                parts.join(pair[0], pair[1]);
             }
         }
-        let mut sums: Vec<Option<Sum>> = vec![None; parent.len()];
+        let mut sums: Vec<Option<Sum>> = vec![None; soup.vertex_count as usize];
         for face in 0..soup.faces.len() as u32 {
-            let part = root(&mut parent, soup.vertices(face)[0]);
+            let part = parts.root(soup.vertices(face)[0]);
             let corners = soup.corners(face);
             let start = Sum { origin: corners[0], vector: DVec3::ZERO, area: 0.0, volume: 0.0, bounds: Aabb::EMPTY };
             let sum = sums[part as usize].get_or_insert(start);
@@ -62,9 +62,9 @@ impl Solids {
         }
         let index = Skd::build(Params::default(), &[]);
         let mut solids = Self { of_face: Vec::new(), boxes: Vec::new(), index };
-        let mut number = vec![NONE; parent.len()];
+        let mut number = vec![NONE; soup.vertex_count as usize];
         for face in 0..soup.faces.len() as u32 {
-            let part = root(&mut parent, soup.vertices(face)[0]) as usize;
+            let part = parts.root(soup.vertices(face)[0]) as usize;
             if let Some(sum) = sums[part].take().filter(is_solid) {
                 number[part] = solids.boxes.len() as u32;
                 solids.boxes.push(sum.bounds);
@@ -126,15 +126,6 @@ impl Solids {
 
 fn is_solid(sum: &Sum) -> bool {
     sum.vector.length() <= 1e-5 * sum.area && sum.volume > 0.0 && 3.0 * sum.volume < ROOM * sum.area
-}
-
-fn root(parent: &mut [u32], mut v: u32) -> u32 {
-    while parent[v as usize] != v {
-        let up = parent[parent[v as usize] as usize];
-        parent[v as usize] = up;
-        v = up;
-    }
-    v
 }
 
 /// Winding number of a loop around a point, seen from above. Crossings are half-open, so a vertical line through a

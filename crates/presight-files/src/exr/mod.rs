@@ -1,27 +1,22 @@
 //! Lossless OpenEXR images of a prediction: floats as FLOAT, ids as UINT, vectors as three FLOAT channels. Text
 //! attributes `presight:*` hold sensor, pose and scene.
 
-use super::atomic::write_atomically;
-use super::file;
 use ::exr::image::{AnyChannel, AnyChannels, Blocks, Encoding, FlatSamples, Image, Layer};
-use ::exr::meta::attribute::{AttributeValue, LineOrder, SampleType, Text};
-use ::exr::meta::header::{Header, LayerAttributes};
-use ::exr::prelude::{Compression, ReadChannels, ReadLayers, WritableImage};
-use glam::{DQuat, DVec3};
-use presight_model::error::{Error, ErrorKind, Result};
+use ::exr::meta::attribute::{AttributeValue, LineOrder, Text};
+use ::exr::meta::header::LayerAttributes;
+use ::exr::prelude::{Compression, WritableImage};
+use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
-use presight_model::limits;
 use presight_model::memory;
 use presight_model::printable::quoted;
+use presight_read::atomic::write_atomically;
+use presight_read::exr::{FORMAT, KnownChannel, attribute, pose_from_text, pose_to_text, unsupported};
 use presight_render::deadline::Degradation;
 use presight_render::plan::{IdScheme, Images, Output, Outputs, Raster, SampleKind, Samples, SamplesMut};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
-
-/// The version of the attributes that this code writes, and the newest that it reads.
-const FORMAT: u32 = 1;
 
 /// Origin of the images in a file. Files of other programs may lack any field.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -74,8 +69,8 @@ pub struct ImageFile {
 /// ```
 ///
 /// # Errors
-/// [`ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
-/// [`ErrorKind::Invalid`] if there is no image.
+/// [`presight_model::ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
+/// [`presight_model::ErrorKind::Invalid`] if there is no image.
 pub fn write(path: &Path, images: &Images, outputs: Outputs, attributes: &Attributes) -> Result<()> {
     let mut channels = Vec::new();
     for output in outputs.iter() {
@@ -146,12 +141,6 @@ fn to_texts(attributes: &Attributes) -> Vec<(String, String)> {
     texts.into_iter().map(|(name, text)| (name.to_owned(), text)).collect()
 }
 
-/// `x,y,z,qx,qy,qz,qw`, each the shortest text that reads back as the same f64.
-pub fn pose_to_text(pose: &Pose) -> String {
-    let (t, q) = (pose.translation, pose.rotation);
-    [t.x, t.y, t.z, q.x, q.y, q.z, q.w].map(|v| format!("{v:?}")).join(",")
-}
-
 /// Sorts the attributes of the written header in place. The exr crate keeps free attributes in a hash map, so their
 /// order would otherwise change from run to run.
 fn sort_header(file: &mut File) -> io::Result<()> {
@@ -184,45 +173,37 @@ fn sort_header(file: &mut File) -> io::Result<()> {
 /// Reads the attributes, and the images whose channel names presight knows.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] or [`ErrorKind::Unsupported`], naming the channel or attribute, for a file that is missing,
+/// [`presight_model::ErrorKind::Invalid`] or [`presight_model::ErrorKind::Unsupported`], naming the channel or attribute, for a file that is missing,
 /// truncated or not EXR, has deep data, several layers or sides beyond the limits, a channel that is subsampled or of
-/// the wrong type, or attributes of a newer format. [`ErrorKind::System`] if the system refuses.
+/// the wrong type, or attributes of a newer format. [`presight_model::ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<ImageFile> {
     read_unnamed(path).map_err(|e| e.in_file(path))
 }
 
 fn read_unnamed(path: &Path) -> Result<ImageFile> {
-    let file = file::open(path)?;
-    let chunks = ::exr::block::read(BufReader::new(file), false).map_err(from_exr)?;
-    let header = match chunks.headers() {
-        [header] => header,
-        many => return Err(unsupported(format!("{} layers", many.len()), "give a file of one layer")),
-    };
-    check_header(header)?;
-    let attributes = from_texts(header)?;
-    let (pixels, channels) = (header.layer_size.area() as u64, header.channels.list.len() as u64);
-    memory::require(4 * pixels * channels)?;
-    let image = ::exr::prelude::read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .all_channels()
-        .first_valid_layer()
-        .all_attributes()
-        .pedantic()
-        .from_chunks(chunks)
-        .map_err(from_exr)?;
-    let layer = image.layer_data;
-    let mut images =
-        Images { width: layer.size.width() as u32, height: layer.size.height() as u32, ..Images::default() };
+    let file = presight_read::exr::read(path, &known_channels())?;
+    let mut attributes = Attributes::default();
+    for (name, text) in &file.texts {
+        attributes.take(name, text).map_err(|e| e.at(attribute(name)))?;
+    }
+    check_vectors(&file.channels)?;
+    let mut images = Images { width: file.width, height: file.height, ..Images::default() };
     let mut ignored = Vec::new();
-    for channel in layer.channel_data.list {
-        let name = channel.name.to_string();
+    for (name, samples) in file.channels {
         match of_channel(&name) {
-            Some((output, axis)) => keep(&mut images, output, axis, channel.sample_data)?,
+            Some((output, axis)) => keep(&mut images, output, axis, samples)?,
             None => ignored.push(name),
         }
     }
     Ok(ImageFile { images, attributes, ignored })
+}
+
+fn known_channels() -> Vec<KnownChannel> {
+    let of = |output: Output| {
+        let is_id = matches!(output.info().kind, SampleKind::Id);
+        output.channels().into_iter().map(move |name| KnownChannel { name, is_id })
+    };
+    Output::WITH_FEATURES.into_iter().flat_map(of).collect()
 }
 
 /// The output of a channel, and the component that it holds.
@@ -231,61 +212,15 @@ fn of_channel(name: &str) -> Option<(Output, usize)> {
     outputs.find_map(|o| o.channels().iter().position(|channel| channel == name).map(|axis| (o, axis)))
 }
 
-fn unsupported(what: String, remedy: &str) -> Error {
-    Error::new(ErrorKind::Unsupported, what, remedy)
-}
-
-fn from_exr(e: ::exr::error::Error) -> Error {
-    use ::exr::error::Error as Exr;
-    match e {
-        Exr::Io(e) => Error::new(ErrorKind::System, format!("cannot read: {e}"), "see the system's message"),
-        Exr::NotSupported(what) => unsupported(format!("EXR feature: {what}"), "write a plain scan-line file"),
-        other => Error::invalid(format!("is not a valid EXR file: {other}"), "check the path, or write the file again"),
-    }
-}
-
-/// Checks everything that determines memory use, before any is allocated.
-fn check_header(header: &Header) -> Result<()> {
-    let (width, height) = (header.layer_size.width() as u64, header.layer_size.height() as u64);
-    let side = 1..=u64::from(limits::MAX_IMAGE_SIDE);
-    if header.deep {
-        return Err(unsupported("deep data".into(), "write one sample per pixel"));
-    }
-    // One row of a sensor whose rays are listed may be longer.
-    let is_list = height == 1 && (1..=u64::from(limits::MAX_LISTED_RAYS)).contains(&width);
-    let is_image = side.contains(&width) && side.contains(&height) && width * height <= limits::MAX_PIXELS;
-    if !is_list && !is_image {
-        return Err(Error::invalid(
-            format!("image of {width} x {height} pixels"),
-            format!("sides of 1 to {} and at most {} pixels can be read", limits::MAX_IMAGE_SIDE, limits::MAX_PIXELS),
-        ));
-    }
-    let names: Vec<String> = header.channels.list.iter().map(|c| c.name.to_string()).collect();
-    let mut known = 0;
-    for (channel, name) in header.channels.list.iter().zip(&names) {
-        let Some((output, _)) = of_channel(name) else {
-            continue;
-        };
-        known += 1;
-        let (wanted, word) = match output.info().kind {
-            SampleKind::Id => (SampleType::U32, "UINT"),
-            SampleKind::Float | SampleKind::Vector => (SampleType::F32, "FLOAT"),
-        };
-        if channel.sample_type != wanted || channel.sampling.0 != 1 || channel.sampling.1 != 1 {
-            let what = format!("is {:?}, sampled {:?}", channel.sample_type, channel.sampling);
-            return Err(
-                Error::invalid(what, format!("write it as {word}, every pixel")).at(format!("channel {name:?}"))
-            );
-        }
-        if let Some(missing) = output.channels().into_iter().find(|wanted| !names.contains(wanted)) {
+/// Refuses a vector that lacks a component.
+fn check_vectors(channels: &[(String, FlatSamples)]) -> Result<()> {
+    for (name, _) in channels {
+        let Some((output, _)) = of_channel(name) else { continue };
+        let is_there = |wanted: &String| channels.iter().any(|(name, _)| name == wanted);
+        if let Some(missing) = output.channels().into_iter().find(|wanted| !is_there(wanted)) {
             let what = format!("lacks the channel {missing:?} of the same vector");
             return Err(Error::invalid(what, "write all components of a vector").at(format!("channel {name:?}")));
         }
-    }
-    if known == 0 {
-        let what = format!("none of its channels ({}) is known", names[..names.len().min(8)].join(", "));
-        let wanted = Output::WITH_FEATURES.map(Output::channels).concat().join(", ");
-        return Err(Error::invalid(what, wanted).at("channels"));
     }
     Ok(())
 }
@@ -307,27 +242,10 @@ fn keep(images: &mut Images, output: Output, axis: usize, samples: FlatSamples) 
     Ok(())
 }
 
-fn from_texts(header: &Header) -> Result<Attributes> {
-    let mut attributes = Attributes::default();
-    let texts = header.shared_attributes.other.iter().chain(&header.own_attributes.other);
-    for (name, value) in texts {
-        let name = name.to_string();
-        let Some(name) = name.strip_prefix("presight:") else { continue };
-        let place = |e: Error| e.at(format!("attribute \"presight:{name}\""));
-        let AttributeValue::Text(text) = value else {
-            return Err(place(Error::invalid("is not text", "write it as a string")));
-        };
-        let text = std::str::from_utf8(text.as_slice())
-            .map_err(|e| place(Error::invalid("is not UTF-8", "write it as UTF-8").caused_by(e)))?;
-        attributes.take(name, text).map_err(place)?;
-    }
-    Ok(attributes)
-}
-
 impl Attributes {
     fn take(&mut self, name: &str, text: &str) -> Result<()> {
         match name {
-            "format" => check_format(text)?,
+            "format" => {}
             "sensor" => self.sensor = Some(text.to_owned()),
             "world_from_sensor" => self.world_from_sensor = Some(pose_from_text(text)?),
             "scene" => self.scene = Some(text.to_owned()),
@@ -369,29 +287,6 @@ fn check_frame(name: &str, text: &str) -> Result<()> {
         }
         _ => Ok(()),
     }
-}
-
-fn check_format(text: &str) -> Result<()> {
-    match text.parse::<u32>() {
-        Ok(FORMAT) => Ok(()),
-        Ok(newer) if newer > FORMAT => {
-            Err(unsupported(format!("is {newer}; this presight reads up to {FORMAT}"), "use a newer presight"))
-        }
-        _ => Err(Error::invalid(format!("is {}", quoted(text)), format!("write {FORMAT}"))),
-    }
-}
-
-pub(crate) fn pose_from_text(text: &str) -> Result<Pose> {
-    let wrong = || Error::invalid(format!("{} is not a valid pose", quoted(text)), "write finite x,y,z,qx,qy,qz,qw");
-    let numbers: Vec<f64> = text.split(',').map_while(|word| word.trim().parse().ok()).collect();
-    let Ok([x, y, z, qx, qy, qz, qw]) = <[f64; 7]>::try_from(numbers) else {
-        return Err(wrong());
-    };
-    let (translation, rotation) = (DVec3::new(x, y, z), DQuat::from_xyzw(qx, qy, qz, qw));
-    let pose = Pose::new(translation, rotation).map_err(|_| wrong())?;
-    // A unit quaternion keeps its bits: normalizing it again could change the last digits.
-    let unit = (rotation.length_squared() - 1.0).abs() < 1e-9;
-    Ok(if unit { Pose { rotation, translation } } else { pose })
 }
 
 #[cfg(test)]

@@ -1,6 +1,9 @@
 //! Bit-exact round trips, and errors for broken files.
 
 use super::*;
+use glam::DVec3;
+use presight_model::error::ErrorKind;
+use presight_model::limits;
 use presight_render::deadline::{DegradationKind, DegradationStep};
 use proptest::prelude::*;
 

@@ -37,7 +37,6 @@
 
 mod lines;
 
-use super::atomic::write_atomically;
 use glam::{DVec2, DVec3};
 use presight_features::{FeaturePrediction, Hidden as HiddenFeatures, HiddenInterval, Reason, SeenFeature};
 use presight_features::{VisibleInterval, image_path};
@@ -46,6 +45,7 @@ use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::{InWorld, Pose, PoseCovariance};
 use presight_model::sensor::Sensor;
 use presight_predict::virtual_sensors::VirtualReading;
+use presight_read::atomic::write_atomically;
 use presight_render::deadline::Degradation;
 use serde::{Deserialize, Serialize};
 use serde_json::value::{RawValue, to_raw_value};
@@ -351,10 +351,10 @@ fn properties(seen: &SeenFeature) -> Properties<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::preset;
     use glam::DMat3;
     use presight_features::Reason;
     use presight_model::environment::{Existence, Feature, Properties};
+    use presight_read::preset;
     use presight_render::deadline::{DegradationKind, DegradationStep};
 
     fn seen() -> SeenFeature {

@@ -2,6 +2,7 @@
 
 use pathfinding::prelude::{Matrix, kuhn_munkres};
 use presight_model::error::{Error, Result};
+use presight_model::union_find::UnionFind;
 
 /// Largest work for one group: rows squared times columns, about 50 ms. Larger groups are matched greedily and counted.
 pub const MAX_GROUP_WORK: usize = 1 << 24;
@@ -116,27 +117,18 @@ struct Saving {
 
 /// Labels each edge with the lowest row of its connected group.
 fn name_groups(edges: &mut [Saving], rows: usize) {
-    let mut parent: Vec<u32> = (0..rows as u32).collect();
+    let mut groups = UnionFind::new(rows);
     let mut by_column: Vec<u32> = (0..edges.len() as u32).collect();
     by_column.sort_unstable_by_key(|i| edges[*i as usize].column);
     for pair in by_column.windows(2) {
         let [a, b] = [edges[pair[0] as usize], edges[pair[1] as usize]];
         if a.column == b.column {
-            let (a, b) = (root(&mut parent, a.row), root(&mut parent, b.row));
-            parent[a.max(b) as usize] = a.min(b);
+            groups.join(a.row, b.row);
         }
     }
     for edge in edges {
-        edge.group = root(&mut parent, edge.row);
+        edge.group = groups.root(edge.row);
     }
-}
-
-fn root(parent: &mut [u32], mut at: u32) -> u32 {
-    while parent[at as usize] != at {
-        parent[at as usize] = parent[parent[at as usize] as usize];
-        at = parent[at as usize];
-    }
-    at
 }
 
 /// Solves one group, whose edges are sorted by row.

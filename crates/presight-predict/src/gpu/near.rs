@@ -177,8 +177,8 @@ fn wedge(corners: &[DVec3], normal: DVec3) -> Vec<DVec3> {
 mod tests {
     use super::*;
     use glam::{DAffine3, Vec3};
-    use presight_files::preset;
     use presight_model::{Environment, Material, NewObject, Polygon, PolygonOrder, Pose, World};
+    use presight_read::preset;
     use presight_render::plan::ImageRequest;
     use presight_render::reference::Face;
     use presight_render::verify::is_set_up_finely;

@@ -74,7 +74,7 @@ mod tests {
     }
 
     fn sensors() -> impl Strategy<Value = Sensor> {
-        let preset = (0..PRESETS.len()).prop_map(|i| presight_files::preset(PRESETS[i].name).unwrap());
+        let preset = (0..PRESETS.len()).prop_map(|i| presight_read::preset(PRESETS[i].name).unwrap());
         let made = |geometry| {
             let mut spec = SensorSpec::new("s", "laser", geometry);
             spec.range_max = 100.0;
@@ -202,13 +202,13 @@ mod tests {
     /// Keeping everything would pass the test above, so polygons clearly out of sight must be dropped.
     #[test]
     fn what_is_out_of_sight_is_dropped() {
-        let scanner = presight_files::preset("laser-range-camera").unwrap();
+        let scanner = presight_read::preset("laser-range-camera").unwrap();
         assert!(keeps(&scanner, DVec3::X * 9.0));
         for p in [DVec3::NEG_X * 9.0, DVec3::X * 11.0, DVec3::new(1.0, 1.0, 0.0), DVec3::new(1.0, 0.0, 0.2)] {
             assert!(!keeps(&scanner, p), "{p}");
         }
         assert!(!keeps(&scanner, DVec3::new(1.0, 0.0, -2.0)));
-        let camera = presight_files::preset("video-camera").unwrap();
+        let camera = presight_read::preset("video-camera").unwrap();
         assert!(keeps(&camera, DVec3::Z * 9.0));
         for p in [DVec3::NEG_Z, DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y] {
             assert!(!keeps(&camera, p * 9.0), "{p}");

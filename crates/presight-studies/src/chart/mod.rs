@@ -3,6 +3,7 @@
 mod axis;
 mod rect;
 
+use crate::page::PALETTE;
 use axis::Axis;
 use plotters::prelude::*;
 use presight_model::error::{Error, ErrorKind, Result};
@@ -18,7 +19,7 @@ const TEXT: [i32; 3] = [21, 18, 15];
 const LONGEST_NAME: usize = 36;
 
 /// The number of colours; series use them in turn.
-pub const COLORS: usize = 8;
+pub const COLORS: usize = PALETTE.len();
 
 /// The page's text colour. Plotters supports only fixed colours, so each role has a unique placeholder that
 /// [`Chart::svg`] replaces by CSS.
@@ -253,18 +254,6 @@ fn dashes(at: &[(i32, i32)]) -> Vec<[(i32, i32); 2]> {
 fn color(index: usize) -> RGBColor {
     RGBColor(2, 2, (index % COLORS) as u8)
 }
-
-/// The colour-blind safe palette of Okabe and Ito, for light and for dark pages.
-pub(crate) const PALETTE: [(&str, &str); COLORS] = [
-    ("#0072b2", "#56b4e9"),
-    ("#d55e00", "#ff8c42"),
-    ("#009e73", "#2fd6a3"),
-    ("#b8860b", "#f0e442"),
-    ("#cc79a7", "#e6a0c8"),
-    ("#5b5bd6", "#9f9ff5"),
-    ("#7a5230", "#c9a27c"),
-    ("#606060", "#b0b0b0"),
-];
 
 /// Replaces placeholder colours by CSS. Each element has only one of them, so it gets one `style` attribute.
 fn themed(svg: &str, title: &str) -> String {

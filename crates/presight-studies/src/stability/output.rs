@@ -90,7 +90,7 @@ pub fn to_html(study: &Study, rows: &[Row], about: &RunInfo) -> Result<String> {
             let faults = notes.iter().enumerate().filter(|(_, n)| n[2] == "fault").map(|(i, _)| i).collect();
             parts.push(Part::Table(Table { caption: "Notes".into(), head, rows: notes, marked: faults }));
         }
-        sections.push(Section { title: family.name().into(), parts });
+        sections.push(Section { title: family.name().into(), label: None, parts });
     }
     let lead = "Every engine against a truth computed with a hundred digits, in cases of increasing difficulty: does \
                 the error stay within presight's published bound until the case is refused?";
@@ -165,7 +165,7 @@ fn summary(study: &Study, rows: &[Row], about: &RunInfo) -> Section {
     let mut parts = vec![Part::Advice(verdict), Part::Table(table), Part::Text(counted.into())];
     parts.extend(about.notes.iter().map(|note| Part::Text(note.clone())));
     parts.push(Part::Table(machine));
-    Section { title: "Summary".into(), parts }
+    Section { title: "Summary".into(), label: None, parts }
 }
 
 /// The results of one engine in one family.

@@ -97,7 +97,7 @@ pub(super) fn of_regions(which: EnginePath, method: BoxMethod) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight_files::sensor_toml;
+    use presight_read::sensor_toml;
 
     const CAMERA: &str = "width = 61\nheight = 48\nfx = 40.0\nfy = 41.0\ncx = 31.5\ncy = 23.25\n";
     const TURN: &str = "[azimuth]\nstart_deg = -180.0\nstep_deg = 0.3\ncount = 1200\n";

@@ -269,8 +269,8 @@ impl Normal {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight_files::preset;
     use presight_model::environment::{Existence, Feature, Properties};
+    use presight_read::preset;
 
     /// A point 3 m in front of a camera, with a region of `half` pixels to each side.
     fn point(half: f64) -> (Sensor, SeenFeature) {

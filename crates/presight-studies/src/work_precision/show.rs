@@ -109,7 +109,7 @@ pub fn to_html(findings: &Findings, machine: &Machine) -> Result<String> {
 
 fn answer(findings: &Findings) -> Section {
     let parts = findings.findings.iter().map(|f| Part::Advice(f.advice.clone())).collect();
-    Section { title: "Recommendations".into(), parts }
+    Section { title: "Recommendations".into(), label: None, parts }
 }
 
 fn about(findings: &Findings, machine: &Machine) -> Section {
@@ -126,7 +126,7 @@ fn about(findings: &Findings, machine: &Machine) -> Section {
         Part::Table(Table { caption: "How it was measured".into(), head, rows, marked: Vec::new() }),
         Part::Text(missing.into()),
     ];
-    Section { title: "Machine and paths".into(), parts }
+    Section { title: "Machine and paths".into(), label: None, parts }
 }
 
 fn kinds() -> Section {
@@ -148,7 +148,7 @@ fn kinds() -> Section {
     ];
     let mut parts: Vec<Part> = texts.map(|text| Part::Text(text.into())).to_vec();
     parts.push(Part::Table(Table { caption: "Kinds of errors".into(), head, rows, marked: Vec::new() }));
-    Section { title: "How to read it".into(), parts }
+    Section { title: "How to read it".into(), label: None, parts }
 }
 
 fn section(finding: &Finding) -> Result<Section> {
@@ -181,7 +181,7 @@ fn section(finding: &Finding) -> Result<Section> {
     ] {
         parts.extend([Part::Heading(title.into()), Part::Table(table)]);
     }
-    Ok(Section { title: format!("{}, {} ({w} x {h})", finding.scene, finding.sensor), parts })
+    Ok(Section { title: format!("{}, {} ({w} x {h})", finding.scene, finding.sensor), label: None, parts })
 }
 
 fn chart(rows: &[&Row], title: &str, label: &str) -> Chart {

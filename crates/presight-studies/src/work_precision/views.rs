@@ -197,7 +197,7 @@ fn part(geometry: &Geometry) -> Option<(Geometry, (u32, u32))> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight_files::preset;
+    use presight_read::preset;
 
     /// A pixel of a reduced or partial view looks in the mean direction of the pixels that it covers.
     #[test]

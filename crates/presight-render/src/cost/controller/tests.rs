@@ -65,7 +65,7 @@ impl Replay {
         let clock = Arc::new(Standing::default());
         let mut controller = Controller::default();
         controller.set_clock(clock.clone());
-        let sensor = presight_files::preset("laser-scanner").unwrap();
+        let sensor = presight_read::preset("laser-scanner").unwrap();
         Self {
             clock,
             controller,
@@ -149,7 +149,7 @@ fn without_learnt_costs_a_frame_is_tried_unless_its_time_is_up() {
     let mut replay = Replay::new();
     let camera =
         "format = 1\nkind = \"camera\"\nwidth = 1280\nheight = 200\nfx = 600.0\nfy = 600.0\ncx = 640.0\ncy = 100.0\n";
-    replay.sensor = Sensor::new(presight_files::sensor_toml::parse(camera, "", None).unwrap()).unwrap();
+    replay.sensor = Sensor::new(presight_read::sensor_toml::parse(camera, "", None).unwrap()).unwrap();
     replay.draws_parts = true;
     let recorded = Recorded { selection: 600.0, images: 50.0, ..RECORDED };
     let frame = replay.frame(800.0, 300, recorded).unwrap();

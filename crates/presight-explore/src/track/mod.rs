@@ -1,0 +1,6 @@
+//! Exploration of frames without poses.
+
+mod follow;
+mod group;
+
+pub use follow::{Follower, FoundPose};

@@ -1,0 +1,66 @@
+//! Planar scans and walls, seen from above.
+
+use crate::observe::View;
+use glam::DVec2;
+
+/// A planar scan at a known pose, seen from above.
+#[derive(Clone, Debug)]
+pub(crate) struct Scan {
+    pub origin: DVec2,
+    /// Unit directions.
+    pub ways: Vec<DVec2>,
+    /// Metres; not finite without a hit.
+    pub ranges: Vec<f64>,
+}
+
+impl Scan {
+    pub fn of(view: &View, base: DVec2, is_used: impl Fn(usize) -> bool) -> Self {
+        let ray = |pixel: usize| view.ray(pixel).truncate();
+        let pixels = 0..view.ranges.len();
+        let range = |pixel: usize| {
+            let range = f64::from(view.ranges[pixel]) * ray(pixel).length();
+            if is_used(pixel) { range } else { f64::NAN }
+        };
+        Self {
+            origin: view.origin().truncate() + base,
+            ways: pixels.clone().map(|p| ray(p).normalize_or(DVec2::X)).collect(),
+            ranges: pixels.map(range).collect(),
+        }
+    }
+
+    /// Where a beam ended.
+    pub fn point(&self, beam: usize) -> DVec2 {
+        self.origin + self.ways[beam] * self.ranges[beam]
+    }
+}
+
+/// A wall seen from above, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Wall {
+    /// Both ends.
+    pub ends: [DVec2; 2],
+}
+
+impl Wall {
+    pub fn way(&self) -> DVec2 {
+        self.ends[1] - self.ends[0]
+    }
+
+    /// Distance along a ray to the wall, and the share of the wall's length there.
+    #[inline]
+    pub fn met(&self, ray: &Ray) -> Option<(f64, f64)> {
+        let (way, to) = (self.way(), self.ends[0] - ray.origin);
+        let across = ray.way.perp_dot(way);
+        let distance = to.perp_dot(way) / across;
+        let share = to.perp_dot(ray.way) / across;
+        (distance > 0.02 && (0.0..=1.0).contains(&share)).then_some((distance, share))
+    }
+}
+
+/// A beam of a scan, seen from above.
+#[derive(Clone, Copy)]
+pub(crate) struct Ray {
+    pub origin: DVec2,
+    pub way: DVec2,
+    pub range: f64,
+}
