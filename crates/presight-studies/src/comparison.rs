@@ -1,6 +1,6 @@
 //! Two predictions of one view, compared pixel by pixel: which pixels are equal, at an accepted edge or tie, or wrong.
 
-use presight_files::exr::ImageFile;
+use presight::files::ImageFile;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
