@@ -2,15 +2,27 @@
 #![doc = include_str!("../docs/formats.md")]
 
 #[doc(inline)]
-pub use presight_read::camera_info::read as read_camera_info;
-#[doc(inline)]
 pub use presight_files::corridor::read as read_corridor;
 #[doc(inline)]
 pub use presight_files::costs::{read as read_costs, write as write_costs};
 #[doc(inline)]
-pub use presight_read::depth_folder::{DepthFolder, camera_json, image_name, poses_txt};
-#[doc(inline)]
 pub use presight_files::exr::{Attributes as ExrAttributes, ImageFile, read as read_exr, write as write_exr};
+#[doc(inline)]
+pub use presight_files::npy::{image_shape as npy_shape, write_image as write_npy, write_rays as write_rays_npy};
+#[doc(inline)]
+pub use presight_files::npy_stack::NpyStack;
+#[doc(inline)]
+pub use presight_files::pcd::write as write_pcd;
+#[doc(inline)]
+pub use presight_files::ply::write as write_ply;
+#[doc(inline)]
+pub use presight_files::prediction_json::{
+    Header as PredictionHeader, to_string as prediction_to_json, write as write_prediction_json,
+};
+#[doc(inline)]
+pub use presight_read::camera_info::read as read_camera_info;
+#[doc(inline)]
+pub use presight_read::depth_folder::{DepthFolder, camera_json, image_name, poses_txt};
 #[doc(inline)]
 pub use presight_read::gltf::{ImportOptions, write_glb};
 #[doc(inline)]
@@ -24,19 +36,7 @@ pub use presight_read::log::lines::{header as range_log_header, line as range_lo
 #[doc(inline)]
 pub use presight_read::log::{Frames as LogFrames, LogFrame, Observation, Readings, read_frame};
 #[doc(inline)]
-pub use presight_files::npy::{image_shape as npy_shape, write_image as write_npy, write_rays as write_rays_npy};
-#[doc(inline)]
-pub use presight_files::npy_stack::NpyStack;
-#[doc(inline)]
-pub use presight_files::pcd::write as write_pcd;
-#[doc(inline)]
-pub use presight_files::ply::write as write_ply;
-#[doc(inline)]
 pub use presight_read::pose_covariance::{file as pose_covariance_file, parse as parse_pose_covariance};
-#[doc(inline)]
-pub use presight_files::prediction_json::{
-    Header as PredictionHeader, to_string as prediction_to_json, write as write_prediction_json,
-};
 #[doc(inline)]
 pub use presight_read::preparation::{
     ImportReport, Problem, ProblemKind, SceneFrame, Up, lost_features, mesh_of_triangles,

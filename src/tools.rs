@@ -1,18 +1,6 @@
 //! What a program around presight needs besides predictions: files that appear whole, limits, memory, threads and text.
 
 #[doc(inline)]
-pub use presight_read::atomic::{is_given, refused as write_error, target_of, write_atomically};
-#[doc(inline)]
-pub use presight_read::file::{
-    open as open_file, open_any as open_stream, read as read_file, starts_with as file_starts_with, without_mark,
-};
-#[doc(inline)]
-pub use presight_read::growing::{GrowingFile, is_through};
-#[doc(inline)]
-pub use presight_read::temporary::{abandon as abandon_files, create_folder};
-#[doc(inline)]
-pub use presight_read::text::{check_name, read_settings, read_text};
-#[doc(inline)]
 pub use presight_model::limits::{
     MAX_COORDINATE, MAX_FILE_BYTES, MAX_IMAGE_SIDE, MAX_LINE_BYTES, MAX_SERIES, MAX_SHOWN,
 };
@@ -24,3 +12,15 @@ pub use presight_model::printable::{clipped, printable, quoted};
 pub use presight_model::statistics::{median, quantile, upper_median};
 #[doc(inline)]
 pub use presight_model::threads::{PerProcess, this_process};
+#[doc(inline)]
+pub use presight_read::atomic::{is_given, refused as write_error, target_of, write_atomically};
+#[doc(inline)]
+pub use presight_read::file::{
+    open as open_file, open_any as open_stream, read as read_file, starts_with as file_starts_with, without_mark,
+};
+#[doc(inline)]
+pub use presight_read::growing::{GrowingFile, is_through};
+#[doc(inline)]
+pub use presight_read::temporary::{abandon as abandon_files, create_folder};
+#[doc(inline)]
+pub use presight_read::text::{check_name, read_settings, read_text};

@@ -3,7 +3,5 @@
 
 #[doc(inline)]
 pub use presight_predict::virtual_sensors::{
-    Answer, Corridor, CorridorFrame, DepthImage, Directions, Docking, Edge, Edges, FloorRegion, FreeFloor, InCorridor,
-    Landmark, Landmarks, Mask, MaskRegion, Nearest, NearestPoint, RadarLine, RadarLines, Settings, Unobservable,
-    VerticalPlane, VerticalPlanes, View, ViewIds, VirtualReading, VirtualSensor,
+    Corridor, CorridorFrame, Mask, Settings, View, ViewIds, VirtualReading, VirtualSensor,
 };

@@ -125,12 +125,11 @@ impl Sources {
         }
     }
 
-    /// Adds the types that the text in a macro's call defines.
+    /// Adds the types that the text in a macro's call defines: their names come before braces.
     fn add_macro(&mut self, module: &Name, text: &str) {
-        let words: Vec<&str> = super::architecture::words(text).collect();
-        for pair in words.windows(2).filter(|pair| ["struct", "enum"].contains(&pair[0])) {
-            self.at(module).by_macro.insert(pair[1].to_owned());
-        }
+        let before = text.split('{').filter_map(|part| super::architecture::words(part).last());
+        let types = before.filter(|word| word.starts_with(char::is_uppercase)).map(str::to_owned);
+        self.at(module).by_macro.extend(types);
     }
 
     fn add_use(&mut self, module: &Name, path: Name, tree: &UseTree, public: bool) {
