@@ -1,4 +1,5 @@
-//! Files: scenes, sensors, images, points, layers, logs, poses and stores. Pictures are in the crate `presight-pictures`.
+//! Files: scenes, sensors, images, points, layers, logs, poses and stores. Pictures are in the crate
+//! `presight-pictures`.
 #![doc = include_str!("../docs/formats.md")]
 
 #[doc(inline)]
@@ -39,7 +40,7 @@ pub use presight_read::log::{Frames as LogFrames, LogFrame, Observation, Reading
 pub use presight_read::pose_covariance::{file as pose_covariance_file, parse as parse_pose_covariance};
 #[doc(inline)]
 pub use presight_read::preparation::{
-    ImportReport, Problem, ProblemKind, SceneFrame, Up, lost_features, mesh_of_triangles,
+    ImportReport, Problem, ProblemKind, SceneFrame, Up, lost_features as problem_of_lost_features, mesh_of_triangles,
 };
 #[doc(inline)]
 pub use presight_read::sensor_toml::{

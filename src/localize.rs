@@ -45,7 +45,8 @@
 //!
 //! An estimate is the robot's pose from one or more measured frames, with its covariance.
 //!
-//! A scanner at the origin has a corner before it: walls at x = 3 and y = 2. It stands 2 cm farther forward than it believes.
+//! A scanner at the origin has a corner before it: walls at x = 3 and y = 2. It stands 2 cm farther forward than it
+//! believes.
 //! ```
 //! use presight::localize::{EstimateOptions, Estimator, Freedom};
 //! use presight::simulate::{Disturbances, Simulator};

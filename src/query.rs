@@ -1,4 +1,5 @@
-//! Questions to the model: objects in a place, the nearest surface, docks, uncertain features, and a way on free floor.
+//! Questions to the model: objects in a place, the nearest surface, docks, uncertain features, and a path on free
+//! floor.
 
 #[doc(inline)]
 pub use presight_supervise::query::{

@@ -1,4 +1,5 @@
-//! Supervision: whether the way ahead of a robot is free, by what its sensors measured. It is not a safety device.
+//! Supervision of the corridor ahead of a robot by its measurements: free, known, intruded or unseen cells. It is not a
+//! safety device.
 #![doc = include_str!("../docs/supervise.md")]
 
 #[doc(inline)]

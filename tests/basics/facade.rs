@@ -1,4 +1,5 @@
-//! The facade is what users meet: it stays small, names every type that it shows, and its own command needs nothing below it.
+//! The facade is what users meet: it stays small, names every type that it shows, and its own command needs nothing
+//! below it.
 
 use super::architecture::{PICTURE, code, folder_of, read, root, sources, words};
 use super::names::{Name, Sources};

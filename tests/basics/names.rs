@@ -1,5 +1,5 @@
-//! What the sources of crates define, and what a path in one of them stands for: as much of a compiler's name resolution as is needed
-//! to list the types that a library's public items show.
+//! What the sources of crates define, and what a path in one of them stands for: as much of a compiler's name
+//! resolution as is needed to list the types that a library's public items show.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -125,10 +125,11 @@ impl Sources {
         }
     }
 
-    /// Adds the types that the text in a macro's call defines: their names come before braces.
+    /// Adds the types that the text in a macro's call may define: a name before a brace.
     fn add_macro(&mut self, module: &Name, text: &str) {
-        let before = text.split('{').filter_map(|part| super::architecture::words(part).last());
-        let types = before.filter(|word| word.starts_with(char::is_uppercase)).map(str::to_owned);
+        let before = text.split('{').filter_map(|part| part.split_whitespace().last());
+        let is_name = |word: &&str| word.starts_with(char::is_uppercase) && word.chars().all(char::is_alphanumeric);
+        let types = before.filter(is_name).map(str::to_owned);
         self.at(module).by_macro.extend(types);
     }
 

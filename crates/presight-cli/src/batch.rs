@@ -555,7 +555,7 @@ mod tests {
         let job = || serde_json::json!({ "format": 1, "scene": "hall" });
         let asked = |backend, raster| check_job(folder.path(), &job(), Choice { backend, raster });
         let none = Choice { backend: None, raster: None };
-        assert_eq!(asked(None, None).unwrap(), none, "nothing is chosen before the first run");
+        assert_eq!(asked(None, None).unwrap(), none, "no engine is chosen before the first run");
         let used = Choice { backend: Some(Backend::Cpu), raster: Some(Raster::Render) };
         keep_job(folder.path(), job(), used).unwrap();
         for (backend, raster) in [(None, None), (Some(Backend::Cpu), None), (None, Some(Raster::Render))] {

@@ -24,8 +24,8 @@ const EXAMPLES: &str = "Examples:
 /// of scans (.ply, .pcd, .csv, .exr). Features of --layer are detected in grey images, its reflectors in scans with
 /// intensities. With a level scanner of one row only x, y and yaw are estimated. FILE.jsonl next to FILE.tum gets
 /// covariance, state and verdicts of every frame. FILE.tum has no line for a frame whose pose is not known. Both grow
-/// by a line as each frame comes, and stay after an error or a signal; the same command then goes on behind them. A log of ranges can come from a pipe
-/// (/dev/stdin); a device or pipe as --out gets the poses without FILE.jsonl.
+/// by a line as each frame comes, and stay after an error or a signal; the same command then goes on behind them. A log
+/// of ranges can come from a pipe (/dev/stdin); a device or pipe as --out gets the poses without FILE.jsonl.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {

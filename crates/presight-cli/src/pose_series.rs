@@ -22,8 +22,8 @@ impl Poses {
     /// Reads all poses of a file. Poses of a pipe come one by one, unless `all_first`.
     ///
     /// # Errors
-    /// Those of [`files::read_tum`] and [`PoseArgs::given`]; [`presight::ErrorKind::Invalid`] for a file with no poses or too
-    /// many.
+    /// Those of [`files::read_tum`] and [`PoseArgs::given`]; [`presight::ErrorKind::Invalid`] for a file with no poses
+    /// or too many.
     pub fn read(path: &Path, meaning: &PoseArgs, of: PoseOf, all_first: bool) -> Result<Self> {
         let is_pipe = path.metadata().is_ok_and(|m| !m.is_file() && !m.is_dir());
         if is_pipe && !all_first {

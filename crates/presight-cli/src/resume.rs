@@ -1,7 +1,8 @@
 //! Runs that were interrupted go on where they ended, by the same command.
 //!
-//! Until it is complete a run keeps FILE.resume next to FILE.tum and FILE.jsonl, with its arguments and inputs. The same command on
-//! the same inputs finds it, keeps the lines of the frames so far, and continues after them from the last pose.
+//! Until it is complete a run keeps FILE.resume next to FILE.tum and FILE.jsonl, with its arguments and inputs. The
+//! same command on the same inputs finds it, keeps the lines of the frames so far, and continues after them from the
+//! last pose.
 
 use super::print;
 use presight::tools::write_atomically;

@@ -30,8 +30,8 @@ const BLUR: f64 = 0.7;
 /// Simulate a log: depth images or scans of a drive with noise, drop-outs and mixed pixels, and the true poses
 ///
 /// DIR gets the files that `localize` reads - camera.json, depth/*.png, poses.txt, or scans.jsonl for a scanner - and
-/// sensor.toml. Depths are whole millimetres. With --grey it also gets grey images of a second camera, grey/*.png and
-/// grey.toml, lit from that camera. The same seed gives the same log.
+/// sensor.toml. Depths are in millimetres, rounded. With --grey it also gets grey images of a second camera, grey/*.png
+/// and grey.toml, lit from that camera. The same seed gives the same log.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {

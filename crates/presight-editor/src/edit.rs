@@ -23,7 +23,7 @@ use std::sync::Arc;
 const ON_EDGE: f64 = 8.0;
 /// The most candidates of an answer.
 const MOST_CANDIDATES: usize = 24;
-/// How far above the first free id new ids may be.
+/// Maximum distance of a new id from the first free one.
 const FREE_IDS: u32 = 1 << 24;
 
 /// A step of the page.

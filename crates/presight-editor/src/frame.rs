@@ -10,7 +10,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use std::time::Instant;
 
-/// The most features that `why` explains at once.
+/// Maximum number of features in one request of `why`.
 const MOST_EXPLAINED: usize = 500;
 
 /// Asks for the images of a pose.
@@ -152,7 +152,7 @@ impl Session {
         let pose = pose_of(&request.pose)?;
         self.sensor.check_projection()?;
         if request.ids.len() > MOST_EXPLAINED {
-            let what = format!("{} features at once", request.ids.len());
+            let what = format!("{} features in one request", request.ids.len());
             return Err(Error::usage(what, format!("ask for at most {MOST_EXPLAINED}")));
         }
         let all = &self.placed.features;

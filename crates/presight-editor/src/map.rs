@@ -12,9 +12,9 @@ use serde_json::{Value, json};
 use std::collections::{BTreeSet, HashSet};
 use std::time::{Duration, Instant};
 
-/// Bytes of views for which memory is checked at once.
+/// Bytes of views between two checks of the memory.
 const A_LOT: u64 = 64 << 20;
-/// Most pieces of a plan.
+/// Maximum number of pieces of a plan.
 const MOST_PIECES: usize = 1 << 22;
 
 /// Asks for the next places of the map.

@@ -406,7 +406,7 @@ fn named(change: &Change, to: &mut BTreeSet<u32>) {
     }
 }
 
-/// A pose inside the scene, or in the middle of its bounds if nothing is free.
+/// A pose inside the scene, or the middle of its bounds if no pose is free.
 fn first_pose(world: &World) -> Pose {
     let middle = || {
         let bounds = world.environment().bounds();

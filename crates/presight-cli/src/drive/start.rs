@@ -1,4 +1,4 @@
-//! Where a drive starts and how it is estimated: the flags, checked, as the library's options.
+//! The start of a drive and the options of its estimates: flags are checked and become options of the library.
 
 use super::{Drive, watching};
 use crate::pose::parse_pose;

@@ -40,7 +40,7 @@ and has no effect; another change with the same id is an error."#;
 /// Apply changes, one JSON object per line; prints `ack K` once line K is safely on disk
 ///
 /// Lines that have already arrived are committed together, at most 100 at a time, so a program that waits for each
-/// acknowledgement gets it at once. Stops at the first invalid line; those before it are still acknowledged.
+/// acknowledgement gets it immediately. Stops at the first invalid line; lines before it are still acknowledged.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {

@@ -17,10 +17,10 @@ const EXAMPLES: &str = "Examples:
 /// Merge a scene or a layer file (.json), as one change
 ///
 /// Objects that already exist unchanged are kept. An object with the same path but different content is an error,
-/// unless --replace or --mirror is given; these list the objects added, changed and left over. Where a name is repeated in
-/// the file (chair, chair#2, ..), objects are paired by shape, then by the least sum of distances. Features of the file
-/// replace those with the same id; `"remove": true` deletes one. Features must lie on polygons, unless a layer file
-/// marks them `"surface": "lost"`, or they have already lost their surface in the imported store.
+/// unless --replace or --mirror is given; these list the objects added, changed and left over. Where a name is repeated
+/// in the file (chair, chair#2, ..), objects are paired by shape, then by the least sum of distances. Features of the
+/// file replace those with the same id; `"remove": true` deletes one. Features must lie on polygons, unless a layer
+/// file marks them `"surface": "lost"`, or they have already lost their surface in the imported store.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -154,7 +154,7 @@ fn ranges(ids: &[u32]) -> String {
     runs.collect::<Vec<_>>().join(", ")
 }
 
-/// A phrase for one thing or for several.
+/// A phrase in the singular or the plural.
 fn singular(what: &str, count: usize) -> String {
     match count {
         1 => what

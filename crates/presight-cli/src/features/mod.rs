@@ -93,7 +93,7 @@ struct OptionArgs {
     #[arg(long, value_name = "M")]
     sigma: Option<f64>,
 
-    /// Largest distance of facets from their plane, metres, 0 for exact planes [default: three times the noise of each
+    /// Maximum distance of facets from their plane, metres, 0 for exact planes [default: three times the noise of each
     /// scanned mesh, at most three times --sigma]
     #[arg(long, value_name = "M")]
     flatness: Option<f64>,

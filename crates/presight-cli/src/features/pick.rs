@@ -56,7 +56,7 @@ fn parse_pixel(text: &str) -> Result<(u32, u32)> {
 /// Runs the command.
 ///
 /// # Errors
-/// Wrong usage; errors from reading the scene and sensor, and from the engine. A pixel that sees nothing is not an
+/// Wrong usage; errors from reading the scene and sensor, and from the engine. A pixel without a surface is not an
 /// error, but sets exit status 1.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let pose = args.pose.parse()?;
