@@ -1,6 +1,6 @@
 //! Flipped bytes and truncation.
 
-use super::{create, hospital, note, numbered, small};
+use super::{create, environment_of, hospital, note, numbered, small};
 use presight::store;
 use presight::store::Store;
 use std::path::Path;

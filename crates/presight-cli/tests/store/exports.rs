@@ -1,7 +1,7 @@
 //! `presight env export`, and importing the export again.
 
 use super::command::{json, refusal, run, scene};
-use super::{create, presight, small};
+use super::{create, environment_of, presight, small};
 use presight::environment::Environment;
 use presight::store;
 use presight::{Change, World};
