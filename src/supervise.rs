@@ -1,5 +1,4 @@
-//! Supervision of the corridor ahead of a robot by its measurements: free, known, intruded or unseen cells. It is not a
-//! safety device.
+//! Supervision of the path ahead of a robot by the measurements of its sensors. It is not a safety device.
 #![doc = include_str!("../docs/supervise.md")]
 
 #[doc(inline)]

@@ -13,7 +13,7 @@ mod surfels;
 mod track;
 mod walls;
 
-pub use change::{Exploration, ExploredObject, Known, MOST_MARKS};
+pub use change::{Exploration, ExploredObject, Known, MAX_MARKS};
 pub use observe::{View, Views};
 pub use surface::{Areas, ExploreOptions};
 pub use track::{Follower, FoundPose};

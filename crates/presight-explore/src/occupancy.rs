@@ -1,30 +1,31 @@
 //! Occupancy grids for planners: YAML and PGM as the map_server of nav2 reads them.
 //!
-//! A cell is occupied if a surface between two heights above the floor reaches into it, free if a floor covers all of it
-//! and nothing is in the way, and unknown otherwise: where no floor is known, and where a mark says that nobody looked.
+//! A cell is occupied if a surface between two heights above the floor reaches into it. It is free if a floor covers it
+//! completely and it is not occupied. It is unknown otherwise, and where a mark records an unobserved space.
 
+use crate::geometry::{area, bounds, doubled_area, is_inside};
 use glam::{DVec2, DVec3};
 use presight_model::environment::{Environment, MarkKind};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Aabb;
 
-/// Most cells of a grid.
-pub const MOST_CELLS: f64 = 1e8;
-/// Surfaces that lean by less are floors: cosine.
+/// Maximum number of cells of a grid, which bounds its file to 100 MB.
+pub const MAX_CELLS: f64 = 1e8;
+/// Minimum cosine between the vertical and the normal of a level surface: 14 degrees.
 const LEVEL: f64 = 0.97;
-/// A floor may be this uneven, metres.
+/// Maximum unevenness of a floor, metres.
 const UNEVEN: f64 = 0.1;
-/// Surfaces that touch a cell to within this reach into it, metres.
+/// Maximum distance from a cell of a surface that counts as inside, metres.
 const TOUCH: f64 = 1e-6;
 
 /// The state of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cell {
-    /// Nothing is in the way above a floor.
+    /// Floor without an obstacle above it.
     Free,
-    /// Something is in the way.
+    /// Obstacle between the heights.
     Occupied,
-    /// No floor is known, or nobody looked.
+    /// Without a floor, or unobserved.
     Unknown,
 }
 
@@ -39,15 +40,15 @@ impl Cell {
     }
 }
 
-/// What a grid is made of.
+/// Resolution and heights of a grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct GridOptions {
     /// Side of a cell, metres.
     pub cell: f64,
-    /// Lowest height above the floor that is in the way, metres.
+    /// Lower end of the obstacles' heights above the floor, metres.
     pub from_height: f64,
-    /// Highest one, metres.
+    /// Upper end of these heights, metres.
     pub to_height: f64,
     /// Height of the floor, metres; `None` for the lowest large level surface.
     pub floor: Option<f64>,
@@ -68,18 +69,17 @@ presight_model::with_options!(
 );
 
 impl GridOptions {
-    /// Checks the numbers.
+    /// Checks the values.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] for cells or heights that are not finite or not in order.
     pub fn check(&self) -> Result<()> {
-        let options = self;
-        if !(options.cell > 0.0 && options.cell.is_finite()) {
-            let what = format!("a `GridOptions::cell` of {} m", options.cell);
+        if !(self.cell > 0.0 && self.cell.is_finite()) {
+            let what = format!("a `GridOptions::cell` of {} m", self.cell);
             return Err(Error::usage(what, "give a finite length above 0, such as 0.05"));
         }
-        let (low, high) = (options.from_height, options.to_height);
-        if !(low < high && low.is_finite() && high.is_finite() && options.floor.is_none_or(f64::is_finite)) {
+        let (low, high) = (self.from_height, self.to_height);
+        if !(low < high && low.is_finite() && high.is_finite() && self.floor.is_none_or(f64::is_finite)) {
             let what = format!("`GridOptions::from_height` of {low} m and `GridOptions::to_height` of {high} m");
             return Err(Error::usage(what, "give finite heights above the floor, the lower one first"));
         }
@@ -100,7 +100,7 @@ pub struct Grid {
     pub origin: DVec2,
     /// Height of the floor, metres in the world.
     pub floor: f64,
-    /// Row by row from the least y.
+    /// Row by row, with rising y.
     pub cells: Vec<Cell>,
 }
 
@@ -109,7 +109,7 @@ impl Grid {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] for cells or heights that are not finite or not in order;
-    /// [`presight_model::ErrorKind::Invalid`] without polygons, and for more than [`MOST_CELLS`] cells.
+    /// [`presight_model::ErrorKind::Invalid`] without polygons, and for more than [`MAX_CELLS`] cells.
     pub fn of(environment: &Environment, options: &GridOptions) -> Result<Self> {
         options.check()?;
         let polygons = polygons(environment);
@@ -119,20 +119,20 @@ impl Grid {
             return Err(Error::invalid("the scene has no polygons", "give a scene with surfaces"));
         }
         let cell = options.cell;
-        // On whole cells, so that grids of one scene have their cells in common.
-        let least = (bounds.min.truncate() / cell).floor() - 1.0;
-        let size = (bounds.max.truncate() / cell).ceil() + 1.0 - least;
-        if size.x * size.y > MOST_CELLS {
-            let what = format!("the grid has {:.0} x {:.0} cells; {MOST_CELLS:.0} are allowed", size.x, size.y);
-            let least = 1.01 * cell * (size.x * size.y / MOST_CELLS).sqrt();
-            let remedy = format!("use a `GridOptions::cell` of at least {least:.6} m");
+        // Aligned to multiples of the cell, so that all grids of a scene share their cells.
+        let first = (bounds.min.truncate() / cell).floor() - 1.0;
+        let size = (bounds.max.truncate() / cell).ceil() + 1.0 - first;
+        if size.x * size.y > MAX_CELLS {
+            let what = format!("the grid has {:.0} x {:.0} cells; {MAX_CELLS:.0} are allowed", size.x, size.y);
+            let min = 1.01 * cell * (size.x * size.y / MAX_CELLS).sqrt();
+            let remedy = format!("use a `GridOptions::cell` of at least {min:.6} m");
             return Err(Error::invalid(what, remedy));
         }
         let (width, height) = (size.x as usize, size.y as usize);
         let cells = vec![Cell::Unknown; width * height];
-        let mut grid = Self { width, height, cell, origin: least * cell, floor, cells };
+        let mut grid = Self { width, height, cell, origin: first * cell, floor, cells };
         grid.add_floors(&polygons);
-        grid.forget_unseen(environment, options);
+        grid.mark_unseen(environment, options);
         let (low, high) = (floor + options.from_height, floor + options.to_height);
         for polygon in &polygons {
             let part = between(polygon, low, high);
@@ -141,21 +141,20 @@ impl Grid {
         Ok(grid)
     }
 
-    /// Cells that floors cover. What several polygons cover together counts: corners of the cell, each on a floor.
+    /// Marks the cells that floors cover as free. A cell is covered if each of its corners lies on a floor polygon, so that several
+    /// polygons can cover it together.
     fn add_floors(&mut self, polygons: &[Vec<DVec3>]) {
         let (width, height) = (self.width + 1, self.height + 1);
         let mut covered = vec![false; width * height];
         for polygon in polygons.iter().filter(|p| is_floor(p, self.floor)) {
-            let flat: Vec<DVec2> = polygon.iter().map(|p| (p.truncate() - self.origin) / self.cell).collect();
-            let turn = if area(&flat) < 0.0 { -1.0 } else { 1.0 };
-            let (least, most) = flat.iter().fold((flat[0], flat[0]), |(a, b), q| (a.min(*q), b.max(*q)));
-            let is_inside = |q: DVec2| {
-                let side = |k: usize| (flat[(k + 1) % flat.len()] - flat[k]).perp_dot(q - flat[k]) * turn;
-                (0..flat.len()).all(|k| side(k) >= -1e-9)
-            };
-            for y in least.y.ceil().max(0.0) as usize..=(most.y.floor().max(0.0) as usize).min(height - 1) {
-                for x in least.x.ceil().max(0.0) as usize..=(most.x.floor().max(0.0) as usize).min(width - 1) {
-                    covered[y * width + x] |= is_inside(DVec2::new(x as f64, y as f64));
+            let mut flat: Vec<DVec2> = polygon.iter().map(|p| (p.truncate() - self.origin) / self.cell).collect();
+            if area(&flat) < 0.0 {
+                flat.reverse();
+            }
+            let (min, max) = bounds(flat.iter().copied());
+            for y in min.y.ceil().max(0.0) as usize..=(max.y.floor().max(0.0) as usize).min(height - 1) {
+                for x in min.x.ceil().max(0.0) as usize..=(max.x.floor().max(0.0) as usize).min(width - 1) {
+                    covered[y * width + x] |= is_inside(DVec2::new(x as f64, y as f64), &flat, 1e-9);
                 }
             }
         }
@@ -169,8 +168,8 @@ impl Grid {
         }
     }
 
-    /// Cells with a mark of what nobody saw between the heights.
-    fn forget_unseen(&mut self, environment: &Environment, options: &GridOptions) {
+    /// Marks the cells of unobserved spaces between the heights as unknown.
+    fn mark_unseen(&mut self, environment: &Environment, options: &GridOptions) {
         let (low, high) = (self.floor + options.from_height, self.floor + options.to_height);
         for (_, mark) in environment.marks().filter(|(_, mark)| mark.kind == MarkKind::Unseen) {
             let (Some(object), Some(b)) = (environment.object(&mark.object), mark.bounds) else { continue };
@@ -183,16 +182,16 @@ impl Grid {
         }
     }
 
-    /// Paints each cell that a convex polygon or a segment reaches into.
+    /// Sets each cell that a convex polygon or a segment reaches into.
     fn paint(&mut self, polygon: &[DVec2], with: Cell) {
         if polygon.is_empty() {
             return;
         }
         let flat: Vec<DVec2> = polygon.iter().map(|p| (*p - self.origin) / self.cell).collect();
         let slack = TOUCH / self.cell;
-        let (least, most) = flat.iter().fold((flat[0], flat[0]), |(a, b), q| (a.min(*q), b.max(*q)));
-        let first = (least - slack).floor().max(DVec2::ZERO);
-        let last = (most + slack).floor().min(DVec2::new(self.width as f64, self.height as f64) - 1.0);
+        let (min, max) = bounds(flat.iter().copied());
+        let first = (min - slack).floor().max(DVec2::ZERO);
+        let last = (max + slack).floor().min(DVec2::new(self.width as f64, self.height as f64) - 1.0);
         for y in first.y as usize..=last.y.max(0.0) as usize {
             for x in first.x as usize..=last.x.max(0.0) as usize {
                 if overlaps(&flat, DVec2::new(x as f64, y as f64), slack) {
@@ -202,16 +201,16 @@ impl Grid {
         }
     }
 
-    /// The file of pixels: PGM (P5), the greatest y first.
+    /// The pixels as a PGM file (P5), with falling y.
     pub fn pgm(&self) -> Vec<u8> {
         let mut bytes = format!("P5\n{} {}\n255\n", self.width, self.height).into_bytes();
         bytes.extend(self.cells.chunks(self.width).rev().flatten().map(|cell| cell.grey()));
         bytes
     }
 
-    /// The file that map_server opens; `image` is the name of the file of pixels.
+    /// The file that map_server opens; `image` is the name of the PGM file.
     pub fn yaml(&self, image: &str) -> String {
-        // 205 means (255 - 205) / 255 = 0.19608, which lies between the two.
+        // A grey value of 205 is the probability (255 - 205) / 255 = 0.19608, which lies between the thresholds.
         format!(
             "image: {image}\nmode: trinary\nresolution: {:?}\norigin: [{:?}, {:?}, 0.0]\nnegate: 0\noccupied_thresh: 0.65\n\
              free_thresh: 0.196\n",
@@ -219,7 +218,7 @@ impl Grid {
         )
     }
 
-    /// Number of cells of a kind.
+    /// Number of cells in a state.
     pub fn count(&self, kind: Cell) -> usize {
         self.cells.iter().filter(|c| **c == kind).count()
     }
@@ -230,13 +229,8 @@ fn polygons(environment: &Environment) -> Vec<Vec<DVec3>> {
     live.flat_map(|o| (0..o.mesh.polygon_count() as u32).map(move |k| o.polygon_in_world(k))).collect()
 }
 
-/// Twice the vector of the area.
-fn doubled(polygon: &[DVec3]) -> DVec3 {
-    (1..polygon.len() - 1).map(|k| (polygon[k] - polygon[0]).cross(polygon[k + 1] - polygon[0])).sum()
-}
-
 fn is_level(polygon: &[DVec3]) -> bool {
-    let area = doubled(polygon);
+    let area = doubled_area(polygon);
     area.z.abs() > LEVEL * area.length()
 }
 
@@ -244,26 +238,26 @@ fn is_floor(polygon: &[DVec3], floor: f64) -> bool {
     is_level(polygon) && polygon.iter().all(|p| (p.z - floor).abs() < UNEVEN)
 }
 
-/// Height of the lowest level surface with a quarter of the area that the largest has.
+/// Height of the lowest level surface with at least a quarter of the area of the largest one; the height of the lowest point without a
+/// level surface.
 fn floor_of(polygons: &[Vec<DVec3>]) -> f64 {
     let mut areas = std::collections::BTreeMap::<i64, f64>::new();
     for polygon in polygons.iter().filter(|p| is_level(p)) {
         let height = polygon.iter().map(|p| p.z).sum::<f64>() / polygon.len() as f64;
-        *areas.entry((height / UNEVEN).round() as i64).or_default() += doubled(polygon).length();
+        *areas.entry((height / UNEVEN).round() as i64).or_default() += doubled_area(polygon).length();
     }
-    let most = areas.values().fold(0.0, |a: f64, b| a.max(*b));
-    let lowest = areas.iter().find(|(_, area)| **area >= 0.25 * most).map(|(height, _)| *height);
+    let max = areas.values().fold(0.0, |a: f64, b| a.max(*b));
+    let lowest = areas.iter().find(|(_, area)| **area >= 0.25 * max).map(|(height, _)| *height);
     let near = |p: &&Vec<DVec3>| is_level(p) && lowest.is_some_and(|l| (p[0].z / UNEVEN - l as f64).abs() < 1.0);
     let (sum, weight) = polygons.iter().filter(near).fold((0.0, 0.0), |(sum, weight), p| {
-        let area = doubled(p).length();
+        let area = doubled_area(p).length();
         (sum + area * p.iter().map(|p| p.z).sum::<f64>() / p.len() as f64, weight + area)
     });
-    // Without a level surface: the lowest point.
     let lowest = || polygons.iter().flatten().map(|p| p.z).fold(f64::INFINITY, f64::min);
     if weight > 0.0 { sum / weight } else { lowest() }
 }
 
-/// The part of a polygon between two heights, seen from above.
+/// The part of a polygon between two heights, projected on the floor.
 fn between(polygon: &[DVec3], low: f64, high: f64) -> Vec<DVec2> {
     let cut = |points: Vec<DVec3>, above: &dyn Fn(DVec3) -> f64| {
         let mut kept = Vec::new();
@@ -281,10 +275,6 @@ fn between(polygon: &[DVec3], low: f64, high: f64) -> Vec<DVec2> {
     };
     let part = cut(cut(polygon.to_vec(), &|p| p.z - low), &|p| high - p.z);
     part.into_iter().map(DVec3::truncate).collect()
-}
-
-fn area(flat: &[DVec2]) -> f64 {
-    (0..flat.len()).map(|k| flat[k].perp_dot(flat[(k + 1) % flat.len()])).sum()
 }
 
 /// True if a convex polygon, which may be as thin as a line, reaches into the unit square at a corner (separating axes).

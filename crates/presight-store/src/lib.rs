@@ -37,6 +37,7 @@ mod merge;
 mod meshes;
 mod op;
 mod pair;
+mod proposal;
 mod read;
 mod rows;
 mod scene;
@@ -49,6 +50,7 @@ pub use feature_lines::{feature_change, feature_line};
 pub use line::apply_line;
 pub use log::LogEntry;
 pub use op::pose_of;
+pub use proposal::{ChangeEvidence, Edit, EditPose, ProposedChange, ShapeSource};
 pub use scene::{Existing, SceneMerge};
 pub use write::{ChangeBatch, Note};
 

@@ -262,8 +262,8 @@ impl Op {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Was {
-    object: String,
-    pose: Vec<f64>,
+    pub object: String,
+    pub pose: Vec<f64>,
 }
 
 impl Was {

@@ -1,10 +1,10 @@
-//! What views add to an environment, as a change of a store.
+//! The result of an exploration, and its change of a store.
 
 use super::object::{ExploredObject, first_free};
 use crate::known::{corrected, explained, opened};
 use crate::observe::Views;
-use crate::surface::{Areas, ExploreOptions, Surfaces, detail};
-use crate::surfels::SMALLEST;
+use crate::surface::{Areas, ExploreOptions, detail, explain};
+use crate::surfels::MIN_SIZE;
 use crate::walls::{Wall, walls};
 use glam::DVec3;
 use presight_model::change::Change;
@@ -17,56 +17,57 @@ use presight_predict::predict::{Backend, Options, Predictor};
 use presight_store::{Existing, Store};
 use std::collections::BTreeSet;
 
-/// Most marks of unseen borders in a store.
-pub const MOST_MARKS: usize = 10_000;
-/// Half the height of the stretch around a scan plane that its scans confirm, metres.
+/// Maximum number of marks in a store. Marks of unobserved borders beyond it are dropped, the smallest first.
+pub const MAX_MARKS: usize = 10_000;
+/// Half the height of the stretch of a wall that planar scans confirm, metres.
 const CONFIRMED: f64 = 0.05;
 
-/// Points this near to a known surface are explained, in units of the detail.
+/// Maximum distance of a point from the known surface that explains it, in units of the detail.
 const EXPLAINED: f64 = 2.0;
 
-/// Points this near to a corrected surface are explained, metres.
+/// Maximum distance of a point from the corrected surface that explains it, metres.
 const ROUGH: f64 = 0.1;
-/// Points that a rough model explains at least: no fewer move a face.
-const LEAST_EXPLAINED: usize = 30;
+/// Minimum number of points that a rough model explains; fewer do not move a face.
+const MIN_EXPLAINED: usize = 30;
 
 /// The kind of model that an exploration starts from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Known {
-    /// A rough model: its surfaces move to where rays end, and what rays go through is opened.
+    /// A rough model: its surfaces move to the ends of the rays, and open where rays pass through them.
     Rough,
-    /// A model that was explored: only what rays go through is opened.
+    /// The model of an earlier exploration: its surfaces open where rays pass through them.
     Explored,
 }
 
 /// An environment after an exploration.
 pub struct Exploration {
-    /// All objects, new ones among them.
+    /// All objects, including the new ones.
     environment: Environment,
-    /// Objects that are new.
+    /// The new objects.
     pub objects: Vec<ExploredObject>,
-    /// Paths of objects that are gone as a whole.
+    /// Paths of the objects of which no part is left.
     pub gone: Vec<String>,
-    /// Areas of the new surfaces, and of the open and the unseen cells next to them, square metres.
+    /// Areas of the new surfaces, and of the openings and unobserved cells beside them, square metres.
     pub areas: Areas,
-    /// Area of known surfaces that rays went through, square metres.
+    /// Area of the known surfaces that rays passed through, square metres.
     pub opened: f64,
-    /// Areas of the parts that no chain of views joins, square metres, the largest first.
+    /// Areas of the parts that no chain of views connects, square metres, the largest first.
     pub parts: Vec<f64>,
-    /// Measured points that are images in mirrors, and are left out.
+    /// Number of omitted points in mirrors.
     pub mirrored: usize,
-    /// Part of the measured distances that the known model does not explain.
+    /// Share of the measured points that the known model does not explain.
     pub unexplained: f64,
-    /// Sensor class of the covariances.
+    /// Sensor class of the pose covariances.
     class: String,
     stamp: f64,
 }
 
 impl Exploration {
-    /// What views add to a known environment, which may be empty.
+    /// Explores with views, starting from a known environment, which may be empty.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Invalid`] if there is no view, or if nothing is known and nothing flat is in sight.
+    /// [`presight_model::ErrorKind::Invalid`] without views, and for an empty environment
+    /// without a flat surface in the views.
     pub fn of(environment: &Environment, known: Known, views: &Views, options: &ExploreOptions) -> Result<Self> {
         let Some(last) = views.all().last() else {
             return Err(Error::invalid("there is no frame with a pose", "give a log with poses"));
@@ -78,7 +79,7 @@ impl Exploration {
         let is_planar = views.all().iter().all(|v| v.sensor().height() == 1);
         let is_empty = before.is_empty();
         let measured = (!is_planar).then(|| detail(options, views));
-        let detail = measured.as_ref().map_or(SMALLEST, |measured| measured.least);
+        let detail = measured.as_ref().map_or(MIN_SIZE, |measured| measured.min_size);
         if !is_empty && !is_planar {
             if known == Known::Rough {
                 environment = corrected(&environment, views, &mut predictor)?;
@@ -111,7 +112,7 @@ impl Exploration {
             exploration.add_walls(&known_or(found, is_empty)?, views, options)?;
             return Ok(exploration);
         };
-        match Surfaces::unexplained(views, (options, &measured), &mut predictor, is_used)? {
+        match explain(views, (options, &measured), &mut predictor, is_used)? {
             Some(found) => {
                 exploration.areas = found.areas;
                 (exploration.parts, exploration.mirrored) = (found.parts(), found.mirrored);
@@ -132,7 +133,7 @@ impl Exploration {
         self.objects.iter().map(|o| o.mesh.polygon_count()).sum()
     }
 
-    /// The environment, new objects among it.
+    /// The environment with the new objects.
     pub fn environment(&self) -> &Environment {
         &self.environment
     }
@@ -163,7 +164,7 @@ impl Exploration {
         self.assume(height)
     }
 
-    /// Marks walls as assumed above and below the scan plane at a height, metres.
+    /// Marks the parts of walls above and below the height of the scans, metres, as uncertain.
     fn assume(&mut self, height: f64) -> Result<()> {
         for object in &self.objects {
             let b = object.mesh.bounds();
@@ -183,7 +184,7 @@ impl Exploration {
         Ok(())
     }
 
-    /// Inserts the new objects, with their trust and the marks of their unseen borders.
+    /// Inserts the new objects, with their trust and the marks of their unobserved borders.
     fn insert(&mut self) -> Result<()> {
         let name = "explored";
         let known = self.environment.materials().iter().position(|m| m.name == name);
@@ -191,7 +192,7 @@ impl Exploration {
             Some(index) => index as u16,
             None => self.environment.add_material(Material::named(name))?,
         };
-        let room = MOST_MARKS.saturating_sub(self.environment.marks().len());
+        let room = MAX_MARKS.saturating_sub(self.environment.marks().len());
         let mut unseen: Vec<(usize, Aabb)> = Vec::new();
         for (k, object) in self.objects.iter().enumerate() {
             let mesh = object.mesh.with_materials(|_| material);
@@ -200,7 +201,7 @@ impl Exploration {
             self.environment.set_trust(&object.path, Some(trust))?;
             unseen.extend(object.unseen.iter().map(|b| (k, *b)));
         }
-        // The largest say most.
+        // The largest are the most informative.
         unseen.sort_by(|a, b| b.1.size().total_cmp(&a.1.size()).then(a.0.cmp(&b.0)));
         unseen.truncate(room);
         for (number, (k, bounds)) in unseen.into_iter().enumerate() {
@@ -239,10 +240,10 @@ impl Exploration {
     }
 }
 
-/// A rough model must explain something: cells of surfaces that are a thousand times too large take minutes, and say nothing.
+/// Refuses a rough model that explains no points. One in millimetres, for example, has a million times too many cells.
 fn check_rough(environment: &Environment, views: &Views, predictor: &mut Predictor) -> Result<()> {
     let points = explained(environment, views, predictor, ROUGH)?.iter().flatten().filter(|e| **e).count();
-    if points >= LEAST_EXPLAINED {
+    if points >= MIN_EXPLAINED {
         return Ok(());
     }
     let of = |bounds: Aabb| {

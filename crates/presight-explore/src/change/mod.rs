@@ -3,5 +3,5 @@
 mod exploration;
 mod object;
 
-pub use exploration::{Exploration, Known, MOST_MARKS};
+pub use exploration::{Exploration, Known, MAX_MARKS};
 pub use object::ExploredObject;

@@ -1,4 +1,4 @@
-//! Planes that hang together, as objects with names: floor, walls and ceiling by direction and height.
+//! Objects of connected planes: floors, walls, ceilings and others, by direction and height.
 
 use crate::geometry::Flat;
 use crate::surface::{Piece, Surfaces, mesh};
@@ -10,19 +10,19 @@ use presight_model::matrix::{Matrix, inverse};
 use presight_model::union_find::UnionFind;
 use std::collections::BTreeMap;
 
-/// Least cosine between the normal and the vertical, of floors and ceilings (10 degrees).
+/// Minimum cosine between the vertical and the normal of a floor or ceiling: 10 degrees.
 const LEVEL: f64 = 0.985;
-/// Greatest cosine of walls.
+/// Maximum cosine between the vertical and the normal of a wall: 80 degrees.
 const UPRIGHT: f64 = 0.17;
-/// Least area of a plane that makes a floor, wall or ceiling, square metres.
-const LARGE: f64 = 0.5;
-/// Floors and ceilings may be this uneven, metres.
+/// Minimum area of a plane in a floor, wall or ceiling, square metres.
+const MIN_AREA: f64 = 0.5;
+/// Maximum unevenness of floors and ceilings, metres.
 const STEP: f64 = 0.1;
-/// Walls reach this high above the floor, metres.
+/// Minimum height of the top of a wall above the floor, metres.
 const WALL: f64 = 1.2;
-/// Walls of one object are this parallel: cosine.
+/// Minimum cosine between the normals of adjacent walls of one object: 15 degrees.
 const PARALLEL: f64 = 0.966;
-/// Groups of paths, in the order of [`Kind`].
+/// First components of paths, in the order of [`Kind`].
 const GROUPS: [&str; 4] = ["floor", "wall", "ceiling", "explored"];
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -33,25 +33,25 @@ enum Kind {
     Other,
 }
 
-/// An object made of surfaces that hang together.
+/// An object of connected surfaces.
 #[derive(Clone, Debug)]
 pub struct ExploredObject {
     /// Its path, such as `explored/0007`.
     pub path: String,
-    /// Its pose in the world: axes of the world, origin in its middle.
+    /// Its pose in the world, with the axes of the world and the origin in its middle.
     pub world_from_object: Pose,
     /// Its convex polygons.
     pub mesh: Mesh,
-    /// Covariance of its pose, which the rays leave open.
+    /// Covariance of its pose, as far as the rays determine it.
     pub covariance: PoseCovariance<InObject>,
     /// Probability that it exists.
     pub existence: f64,
-    /// Boxes at its border that nobody saw, in its frame, metres.
+    /// Unobserved boxes at its border, in its frame, metres.
     pub unseen: Vec<Aabb>,
 }
 
 impl ExploredObject {
-    /// For an environment.
+    /// The object for [`Environment::insert`].
     pub fn new_object(&self) -> NewObject {
         NewObject::new(&self.path, self.world_from_object, self.mesh.clone().into())
     }
@@ -63,7 +63,7 @@ struct Facts {
 }
 
 impl Surfaces {
-    /// The objects, the largest of each group first. Numbers follow the numbers that the environment has taken.
+    /// The objects, the largest of each kind first. Their numbers continue those in `taken`.
     ///
     /// # Errors
     /// Those of [`Mesh::new`].
@@ -101,10 +101,10 @@ impl Surfaces {
         facts
     }
 
-    /// The lowest plane of the group of each plane.
+    /// By plane: the lowest index of the planes in its group.
     fn groups(&self, kinds: &[Kind]) -> Vec<u32> {
         let mut parts = UnionFind::new(self.planes.len());
-        for [a, b] in &self.beside {
+        for [a, b] in &self.adjacent {
             let (i, j) = (*a as usize, *b as usize);
             let parallel = self.planes[i].normal.dot(self.planes[j].normal) > PARALLEL;
             if kinds[i] == kinds[j] && (kinds[i] != Kind::Wall || parallel) {
@@ -118,7 +118,7 @@ impl Surfaces {
         let own = |piece: &&Piece| planes.binary_search(&piece.plane).is_ok();
         let pieces: Vec<&Piece> = self.pieces.iter().filter(own).collect();
         let bounds = Aabb::of(pieces.iter().flat_map(|p| p.corners.iter().copied()));
-        // Whole millimetres, which people can read.
+        // Whole millimetres are readable.
         let middle = (bounds.center() * 1e3).round() / 1e3;
         let (mesh, _) = mesh(&path, pieces.iter().map(|p| &p.corners[..]), middle)?;
         let evidence = planes.iter().map(|p| self.evidence[*p as usize]);
@@ -135,23 +135,23 @@ impl Surfaces {
         })
     }
 
-    /// Each plane holds the object along its normal, and about the two axes across it. Borders hold it to a cell.
+    /// Each plane constrains the object along its normal and about the two perpendicular axes. Borders constrain it to a cell.
     fn covariance(&self, planes: &[u32], middle: DVec3, radius: f64) -> PoseCovariance<InObject> {
         let mut information: Matrix = [[0.0; 6]; 6];
-        let hold = |j: [f64; 6], sigma: f64, information: &mut Matrix| {
+        let constrain = |j: [f64; 6], sigma: f64, information: &mut Matrix| {
             (0..6).for_each(|a| (0..6).for_each(|b| information[a][b] += j[a] * j[b] / (sigma * sigma)));
         };
         let border = self.detail;
         for axis in 0..3 {
             let unit = |k: usize| std::array::from_fn(|i| if i == k { 1.0 } else { 0.0 });
-            hold(unit(axis), border, &mut information);
-            hold(unit(3 + axis), border / radius.max(border), &mut information);
+            constrain(unit(axis), border, &mut information);
+            constrain(unit(3 + axis), border / radius.max(border), &mut information);
         }
         for plane in planes {
             let Flat { centre, normal } = self.planes[*plane as usize];
             let lever = (centre - middle).cross(normal);
             let j = [normal.x, normal.y, normal.z, lever.x, lever.y, lever.z];
-            hold(j, self.sigmas[*plane as usize], &mut information);
+            constrain(j, self.sigmas[*plane as usize], &mut information);
         }
         let rows = inverse(&information, &[0, 1, 2, 3, 4, 5]);
         let symmetric: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| 0.5 * (rows[i][j] + rows[j][i])));
@@ -162,7 +162,7 @@ impl Surfaces {
 
 fn kinds(planes: &[Flat], facts: &[Facts]) -> Vec<Kind> {
     let large = |up: f64| {
-        let of = move |(p, f): &(&Flat, &Facts)| p.normal.z * up > LEVEL && f.area > LARGE;
+        let of = move |(p, f): &(&Flat, &Facts)| p.normal.z * up > LEVEL && f.area > MIN_AREA;
         planes.iter().zip(facts).filter(of).map(|(_, f)| f.bounds.center().z)
     };
     let floor = large(1.0).fold(f64::INFINITY, f64::min);
@@ -175,7 +175,7 @@ fn kinds(planes: &[Flat], facts: &[Facts]) -> Vec<Kind> {
             Kind::Floor
         } else if up < -LEVEL && (height - ceiling).abs() < STEP {
             Kind::Ceiling
-        } else if up.abs() < UPRIGHT && fact.area > LARGE && fact.bounds.max.z > ground + WALL {
+        } else if up.abs() < UPRIGHT && fact.area > MIN_AREA && fact.bounds.max.z > ground + WALL {
             Kind::Wall
         } else {
             Kind::Other
@@ -184,13 +184,13 @@ fn kinds(planes: &[Flat], facts: &[Facts]) -> Vec<Kind> {
     planes.iter().zip(facts).map(kind).collect()
 }
 
-/// The number after the greatest below a group.
+/// The number after the highest one in a group.
 pub(crate) fn first_free(taken: &Environment, group: &str) -> u32 {
     let number = |i: u32| taken.objects()[i as usize].name.strip_prefix(&format!("{group}/"))?.parse::<u32>().ok();
-    taken.below(group).filter_map(number).max().map_or(1, |most| most + 1)
+    taken.below(group).filter_map(number).max().map_or(1, |max| max + 1)
 }
 
-/// Boxes of eight cells a side that hold the cells which nobody saw; neighbours in a row are one box.
+/// Boxes of at most eight cells a side around the unobserved cells; neighbours along z become one box.
 fn boxes((cells, side): &(Vec<DVec3>, f64), middle: DVec3) -> Vec<Aabb> {
     let block = 8.0 * side;
     if cells.is_empty() {

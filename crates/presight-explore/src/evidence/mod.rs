@@ -1,4 +1,4 @@
-//! What rays say about places on surfaces.
+//! Evidence of rays for and against surfaces.
 
 mod rays;
 

@@ -1,33 +1,33 @@
-//! Hits and passes: how often rays ended on cells of a plane, and how often they went on behind it.
+//! Hits and passes: rays that ended on the cells of a plane, and rays that passed through them.
 
-use crate::geometry::Flat;
+use crate::geometry::{Flat, bounds};
 use crate::observe::{View, Views};
 use glam::{DVec2, DVec3, Vec3};
 use presight_model::sensor::Geometry;
 
-/// Rays that are flatter than this say little: cosine of incidence.
-const LEAST_COSINE: f32 = 0.15;
-/// Nearer rays than this weigh no more, metres.
+/// Minimum cosine of incidence: the end of a more grazing ray is uncertain along the normal by more than the size of a cell.
+const MIN_COSINE: f32 = 0.15;
+/// Range below which the weight of a ray grows no further, metres.
 const NEAREST: f32 = 0.3;
 
-/// Places whose ranges are looked up together, so that their ways from memory overlap.
-const TOGETHER: usize = 64;
+/// Number of places whose ranges are looked up in one batch, so that the memory accesses overlap.
+const BATCH: usize = 64;
 
-/// What rays say about a cell: sums of weights, cosine of incidence over range.
+/// Hits and passes of a cell. The weight of a ray is its cosine of incidence over its range.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Evidence {
-    /// Rays that ended on the plane.
+    /// Weight of the rays that ended on the plane.
     pub hit: f32,
-    /// Rays that went through it.
+    /// Weight of the rays that passed through it.
     pub pass: f32,
     /// Number of rays that ended on it.
     pub hits: u32,
-    /// Number of rays that went through it.
+    /// Number of rays that passed through it.
     pub passes: u32,
 }
 
 impl Evidence {
-    /// Adds a ray that ended so far behind the plane, metres.
+    /// Adds a ray that ended at the distance `behind` behind the plane, metres.
     #[inline]
     fn add(&mut self, behind: f32, weight: f32, margins: Margins) {
         if behind.abs() < margins.hit {
@@ -39,15 +39,15 @@ impl Evidence {
         }
     }
 
-    /// From -1 (all rays went through) to 1 (all ended there). A single ray says nothing against others that went through.
+    /// Balance of hits and passes, from -1 (all rays passed) to 1 (all rays ended there). A single hit does not outweigh passes.
     pub fn value(&self) -> f32 {
         let is_alone = self.hits == 0 || self.hits == 1 && self.passes > 0;
         if is_alone { -0.7 } else { (self.hit - self.pass) / (self.hit + self.pass) }
     }
 }
 
-/// Within how far of a plane a ray ends on it, and beyond how far it went through it, metres. Wider, and planes stick
-/// out at convex edges.
+/// Distances from a plane, metres: a ray that ends within `hit` ended on the plane, a ray that ends more than `pass` behind
+/// passed through it. With wider margins planes would stick out at convex edges.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Margins {
     pub hit: f32,
@@ -55,25 +55,26 @@ pub(crate) struct Margins {
 }
 
 impl Margins {
-    /// For cells of this size, metres.
+    /// Margins for cells of this size, metres.
     pub fn of_cell(cell: f64) -> Self {
         Self { hit: 0.5 * cell as f32, pass: cell as f32 }
     }
 }
 
-/// Planes that part places of another plane at their common line. Pixels may be farther apart than places: a ray that ended on one side
-/// of the line says nothing about a surface on the other side.
+/// Neighbouring planes that divide a plane along their common lines. Pixels may be farther apart than cells, so a ray that ended
+/// on one side of such a line is no evidence for a cell on the other side.
 #[derive(Default)]
 pub(crate) struct Fences {
     pub planes: Vec<Flat>,
-    /// For each place the numbers of planes near it, and its side: 1 before the plane, -1 behind it. Empty without fences.
+    /// By place: the indices of the planes near it, with its side (1 in front, -1 behind). Empty without fences.
     pub of: Vec<Vec<(u32, f32)>>,
-    /// Rays that end this near to a fence end on it, metres.
+    /// A ray that ends within this distance of a fence ended on the fence, metres.
     pub margin: f32,
 }
 
 impl Fences {
-    /// False if a point of the image frame is not on the side of the place. `fences` are normals and heights of the origin in that frame.
+    /// False if a point lies on the other side of a fence than the place. Point and fences are in the image frame: `fences` holds
+    /// normals, and the heights of the frame's origin above the planes.
     #[inline]
     fn admit(&self, place: usize, p: Vec3, fences: &[(Vec3, f32)]) -> bool {
         let Some(own) = self.of.get(place) else { return true };
@@ -84,7 +85,7 @@ impl Fences {
     }
 }
 
-/// Evidence for each of the places in a plane.
+/// Evidence of all views for places in a plane.
 pub(crate) fn evidence(
     views: &Views,
     plane: &Flat,
@@ -109,11 +110,11 @@ fn add(view: &View, plane: &Flat, places: &[(f32, f32)], fences: &Fences, margin
     let centre = view.to_image(plane.centre).as_vec3();
     let [x, y] = plane.axes().map(|a| view.direction_to_image(a).as_vec3());
     let normal = view.direction_to_image(plane.normal).as_vec3();
-    // Negative if the sensor is on the back.
+    // Negative if the sensor is behind the plane.
     let side = -normal.dot(centre).signum();
     let at = |(u, v): (f32, f32)| centre + x * u + y * v;
-    let mut seen = [(0, f32::NAN); TOGETHER];
-    for (start, evidence) in (0..).step_by(TOGETHER).zip(evidence.chunks_mut(TOGETHER)) {
+    let mut seen = [(0, f32::NAN); BATCH];
+    for (start, evidence) in (0..).step_by(BATCH).zip(evidence.chunks_mut(BATCH)) {
         let places = &places[start..start + evidence.len()];
         for (seen, place) in seen.iter_mut().zip(places) {
             *seen = view.pixel_towards(at(*place)).map_or((0, f32::NAN), |pixel| (pixel, view.ranges[pixel]));
@@ -123,13 +124,13 @@ fn add(view: &View, plane: &Flat, places: &[(f32, f32)], fences: &Fences, margin
                 continue;
             }
             let ray = view.unit_ray(*pixel);
-            let falling = normal.dot(ray);
-            let cosine = falling.abs();
-            if cosine < LEAST_COSINE {
+            let slope = normal.dot(ray);
+            let cosine = slope.abs();
+            if cosine < MIN_COSINE {
                 continue;
             }
-            // The measured point counts, because the ray of the pixel does not lead exactly to the cell.
-            let behind = side * (normal.dot(centre) - measured * falling);
+            // Measured along the normal at the point itself, because the pixel's ray does not pass exactly through the cell.
+            let behind = side * (normal.dot(centre) - measured * slope);
             if behind.abs() < margins.hit && !fences.admit(start + k, ray * measured, &parting) {
                 continue;
             }
@@ -138,23 +139,23 @@ fn add(view: &View, plane: &Flat, places: &[(f32, f32)], fences: &Fences, margin
     }
 }
 
-/// Evidence for a place with a normal, both relative to the base of the views.
+/// Evidence of all views for one place with a normal, relative to the base of the views.
 pub(crate) fn evidence_at(views: &Views, place: DVec3, normal: DVec3, margins: Margins) -> Evidence {
     let mut evidence = Evidence::default();
     for view in views.all() {
         let p = view.to_image(place).as_vec3();
         let Some((ray, measured)) = view.towards(p) else { continue };
         let normal = view.direction_to_image(normal).as_vec3();
-        let (falling, distance) = (normal.dot(ray), p.length());
-        if falling.abs() >= LEAST_COSINE {
-            let behind = -normal.dot(p).signum() * (normal.dot(p) - measured * falling);
-            evidence.add(behind, falling.abs() / distance.max(NEAREST), margins);
+        let (slope, distance) = (normal.dot(ray), p.length());
+        if slope.abs() >= MIN_COSINE {
+            let behind = -normal.dot(p).signum() * (normal.dot(p) - measured * slope);
+            evidence.add(behind, slope.abs() / distance.max(NEAREST), margins);
         }
     }
     evidence
 }
 
-/// A ball around the places.
+/// A ball that encloses places.
 struct Ball {
     centre: DVec3,
     radius: f64,
@@ -162,12 +163,13 @@ struct Ball {
 
 impl Ball {
     fn around(plane: &Flat, places: &[DVec2]) -> Option<Self> {
-        let first = *places.first()?;
-        let (least, most) = places.iter().fold((first, first), |(a, b), q| (a.min(*q), b.max(*q)));
-        Some(Self { centre: plane.point(0.5 * (least + most)), radius: 0.5 * (most - least).length() })
+        let (min, max) = bounds(places.iter().copied());
+        (!places.is_empty())
+            .then(|| Self { centre: plane.point(0.5 * (min + max)), radius: 0.5 * (max - min).length() })
     }
 
-    /// False only if no place is in the image of a camera without distortion: all lie behind one of four planes through its sides.
+    /// False only if no place can be in the image of a camera without distortion: the ball lies behind one of the four planes through
+    /// the image's borders.
     fn may_be_seen(&self, view: &View) -> bool {
         let is_pinhole = matches!(&view.sensor().spec().geometry, Geometry::Camera(c) if c.distortion.is_none());
         if !is_pinhole {

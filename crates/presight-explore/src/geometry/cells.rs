@@ -3,8 +3,8 @@
 use glam::DVec2;
 use std::collections::HashMap;
 
-/// Most cells of a plane. Larger planes get larger cells.
-const MOST_CELLS: f64 = 1.6e7;
+/// Maximum number of cells on a plane, which bounds their memory to 64 MiB a field. Larger planes get larger cells.
+const MAX_CELLS: f64 = 1.6e7;
 
 /// Square cells in a plane, row by row.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,11 +18,11 @@ pub(crate) struct Cells {
 }
 
 impl Cells {
-    /// Cells of about this side that cover a rectangle and two more cells all round.
-    pub fn covering(least: DVec2, most: DVec2, side: f64) -> Self {
-        let size = most - least;
-        let side = side.max((size.x * size.y / MOST_CELLS).sqrt()).max(size.max_element() / 1e6);
-        let corner = least - 2.0 * side;
+    /// Cells of about the given side, metres, that cover a rectangle with a margin of two cells.
+    pub fn covering((min, max): (DVec2, DVec2), side: f64) -> Self {
+        let size = max - min;
+        let side = side.max((size.x * size.y / MAX_CELLS).sqrt()).max(size.max_element() / 1e6);
+        let corner = min - 2.0 * side;
         let count = |length: f64| (length / side).ceil() as usize + 4;
         Self { corner, side, width: count(size.x), height: count(size.y) }
     }
@@ -75,9 +75,9 @@ impl Cells {
         along(&rows, self.width, self.height, |cell, width| cell / width, self.width)
     }
 
-    /// Closed lines around the cells where a field is positive, which is on their left. The field must be negative at
-    /// the outer cells. Marching squares between the middles of cells; where two diagonal corners are positive, the mean
-    /// decides.
+    /// Closed lines around the cells at which a field is positive, which lie on the left of the lines. The field must be
+    /// negative at the outer cells. The lines come from marching squares between the middles of cells. If only two
+    /// opposite corners of a square are positive, the sign of the mean decides whether they are connected.
     pub fn contours(&self, field: &[f32]) -> Vec<Vec<DVec2>> {
         let next = self.steps(field);
         let mut starts: Vec<u64> = next.keys().copied().collect();
@@ -99,8 +99,8 @@ impl Cells {
         loops
     }
 
-    /// For each edge between two middles that a line crosses, the edge that the line crosses next. Edge 2 c goes from
-    /// cell c to the right, 2 c + 1 up to the next row.
+    /// The next edge on the line, for each edge between two middles that a line crosses. Edge 2 c leads from cell c to the
+    /// right, edge 2 c + 1 to the next row.
     fn steps(&self, field: &[f32]) -> HashMap<u64, u64> {
         let mut next = HashMap::new();
         for row in 0..self.height - 1 {
@@ -121,7 +121,7 @@ impl Cells {
                     if !inside[k] || inside[(k + 1) % 4] {
                         continue;
                     }
-                    // It ends where the border enters the positive part: before this one if parts are separate.
+                    // It ends where the border enters the positive part: before this edge if the parts are separate.
                     let ends = |e: &usize| !inside[*e] && inside[(*e + 1) % 4];
                     let order = if is_saddle && mean <= 0.0 { [3, 2, 1] } else { [1, 2, 3] };
                     let end = order.map(|o| (k + o) % 4).into_iter().find(ends);
@@ -134,7 +134,7 @@ impl Cells {
         next
     }
 
-    /// Where the field is zero on an edge.
+    /// The zero of the field on an edge, by linear interpolation.
     fn crossing(&self, field: &[f32], edge: u64) -> DVec2 {
         let cell = (edge / 2) as usize;
         let other = if edge.is_multiple_of(2) { cell + 1 } else { cell + self.width };
@@ -149,7 +149,7 @@ pub(crate) fn area(line: &[DVec2]) -> f64 {
     0.5 * (0..n).map(|k| (line[k] - line[0]).perp_dot(line[(k + 1) % n] - line[0])).sum::<f64>()
 }
 
-/// A closed line with fewer corners, none of them farther than `tolerance` from it (Ramer, Douglas and Peucker).
+/// A closed line with fewer corners, within `tolerance` of all the dropped ones (Ramer, Douglas and Peucker).
 pub(crate) fn simplified(line: &[DVec2], tolerance: f64) -> Vec<DVec2> {
     let farthest = |from: DVec2| {
         (0..line.len()).max_by(|a, b| line[*a].distance_squared(from).total_cmp(&line[*b].distance_squared(from)))
@@ -173,18 +173,18 @@ pub(crate) fn simplified(line: &[DVec2], tolerance: f64) -> Vec<DVec2> {
 
 /// Distance of a point from a segment.
 pub(crate) fn off_segment(p: DVec2, a: DVec2, b: DVec2) -> f64 {
-    let way = b - a;
-    let share = ((p - a).dot(way) / way.length_squared().max(1e-300)).clamp(0.0, 1.0);
-    p.distance(a + way * share)
+    let along = b - a;
+    let share = ((p - a).dot(along) / along.length_squared().max(1e-300)).clamp(0.0, 1.0);
+    p.distance(a + along * share)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A frame of cells: by hand, its outer line goes round counter-clockwise and its hole clockwise.
+    /// The outer line of a frame of cells runs counter-clockwise, the line of its hole clockwise (worked out by hand).
     #[test]
-    fn holes_have_lines_of_their_own() {
+    fn a_hole_has_its_own_line() {
         let cells = Cells { corner: DVec2::ZERO, side: 1.0, width: 7, height: 7 };
         let inside = |cell: usize| {
             let (x, y) = (cell % 7, cell / 7);
@@ -199,9 +199,9 @@ mod tests {
         assert_eq!(cells.contours(&filled).len(), 1, "planted: a filled hole");
     }
 
-    /// By hand: a square of side 10 whose sides are notched by less than the tolerance.
+    /// A square of side 10 with notches in two sides, the corners counted by hand.
     #[test]
-    fn simple_lines_keep_what_stands_out() {
+    fn simplified_lines_keep_corners_beyond_the_tolerance() {
         let line = [[0.0, 0.0], [5.0, 0.05], [10.0, 0.0], [10.0, 10.0], [5.0, 8.0], [0.0, 10.0]].map(DVec2::from);
         assert_eq!(simplified(&line, 0.1).len(), 5);
         assert_eq!(simplified(&line, 3.0).len(), 4);

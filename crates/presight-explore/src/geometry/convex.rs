@@ -1,4 +1,4 @@
-//! Convex polygons of an area with holes.
+//! Decomposition of an area with holes into convex polygons.
 
 use super::cells::area;
 use glam::DVec2;
@@ -7,19 +7,20 @@ use presight_model::union_find::UnionFind;
 use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation};
 use std::collections::HashMap;
 
-/// Corners of one polygon; far below the limit of a model, which slows every engine's worst case.
-const MOST_CORNERS: usize = if limits::MAX_CORNERS < 24 { limits::MAX_CORNERS } else { 24 };
+/// Maximum number of corners of a polygon. It stays far below the limit of a model, because many corners slow every engine's
+/// worst case.
+const MAX_CORNERS: usize = if limits::MAX_CORNERS < 24 { limits::MAX_CORNERS } else { 24 };
 
 /// Convex polygons that cover what the closed lines enclose an odd number of times, counter-clockwise. Lines may cross.
 pub(crate) fn convex(lines: &[Vec<DVec2>]) -> Vec<Vec<DVec2>> {
     let mut triangulation = ConstrainedDelaunayTriangulation::<Point2<f64>>::new();
     for line in lines {
         let inserted: Result<Vec<_>, _> = line.iter().map(|p| triangulation.insert(Point2::new(p.x, p.y))).collect();
-        // Points are finite, so that inserting them does not fail.
+        // The points are finite, so they can be inserted.
         let Ok(corners) = inserted else { continue };
         for k in 0..corners.len() {
             let (from, to) = (corners[k], corners[(k + 1) % corners.len()]);
-            // Where simplified lines cross, the triangles around the crossing decide by their middles.
+            // Simplified lines may cross. Each triangle around such a crossing is kept if its centroid is enclosed.
             if triangulation.can_add_constraint(from, to) {
                 triangulation.add_constraint(from, to);
             }
@@ -30,7 +31,7 @@ pub(crate) fn convex(lines: &[Vec<DVec2>]) -> Vec<Vec<DVec2>> {
         let corners = face.vertices().map(|v| v.index() as u32);
         let [a, b, c] = face.positions().map(|p| DVec2::new(p.x, p.y));
         let is_flat = (b - a).perp_dot(c - a) < 1e-10;
-        if !is_flat && is_inside((a + b + c) / 3.0, lines) {
+        if !is_flat && is_enclosed((a + b + c) / 3.0, lines) {
             pieces.polygons.push(corners.to_vec());
         }
     }
@@ -41,8 +42,8 @@ pub(crate) fn convex(lines: &[Vec<DVec2>]) -> Vec<Vec<DVec2>> {
     pieces.polygons.iter().map(|p| p.iter().map(|k| pieces.points[*k as usize]).collect()).filter(is_sound).collect()
 }
 
-/// True if a point is enclosed an odd number of times.
-fn is_inside(p: DVec2, lines: &[Vec<DVec2>]) -> bool {
+/// True if the lines enclose a point an odd number of times.
+fn is_enclosed(p: DVec2, lines: &[Vec<DVec2>]) -> bool {
     let crosses =
         |a: DVec2, b: DVec2| (a.y > p.y) != (b.y > p.y) && p.x < a.x + (p.y - a.y) / (b.y - a.y) * (b.x - a.x);
     let crossed = |line: &Vec<DVec2>| (0..line.len()).filter(|k| crosses(line[*k], line[(k + 1) % line.len()])).count();
@@ -56,7 +57,7 @@ struct Pieces {
 }
 
 impl Pieces {
-    /// Drops inner edges, the longest first, while pieces stay convex (Hertel and Mehlhorn).
+    /// Drops inner edges, the longest first, as long as the pieces stay convex (Hertel and Mehlhorn).
     fn merge(&mut self) {
         let mut sides: HashMap<(u32, u32), u32> = HashMap::new();
         for (polygon, i) in self.polygons.iter().zip(0..) {
@@ -81,7 +82,7 @@ impl Pieces {
         self.polygons.retain(|p| !p.is_empty());
     }
 
-    /// Two polygons without the edge from a to b of the first, if that is convex.
+    /// The union of two polygons that share the first one's edge from a to b, if the union is convex.
     fn joined(&self, i: u32, j: u32, (a, b): (u32, u32)) -> Option<Vec<u32>> {
         let from = |polygon: u32, start: u32| {
             let polygon = &self.polygons[polygon as usize];
@@ -89,7 +90,7 @@ impl Pieces {
             Some([&polygon[at..], &polygon[..at]].concat())
         };
         let (p, q) = (from(i, b)?, from(j, a)?);
-        if p.last() != Some(&a) || q.last() != Some(&b) || p.len() + q.len() - 2 > MOST_CORNERS {
+        if p.last() != Some(&a) || q.last() != Some(&b) || p.len() + q.len() - 2 > MAX_CORNERS {
             return None;
         }
         let merged = [&p[..], &q[1..q.len() - 1]].concat();
@@ -99,7 +100,7 @@ impl Pieces {
         is_convex.then_some(merged)
     }
 
-    /// Drops corners that are straight in each polygon that has them.
+    /// Drops the corners that are straight in all polygons that share them.
     fn straighten(&mut self) {
         let mut bent = vec![false; self.points.len()];
         for polygon in &self.polygons {
@@ -119,7 +120,7 @@ impl Pieces {
 mod tests {
     use super::*;
 
-    /// By hand: a square of 4 x 4 with a square hole of 2 x 2 has 12 square metres, in four or more convex polygons.
+    /// A square of 4 x 4 m with a square hole of 2 x 2 m has 12 square metres, which take at least four convex polygons.
     #[test]
     fn a_hole_stays_open() {
         let square =
@@ -128,14 +129,14 @@ mod tests {
         let pieces = convex(&[square(0.0, 4.0), hole]);
         let total: f64 = pieces.iter().map(|p| area(p)).sum();
         assert!((total - 12.0).abs() < 1e-9 && (4..=8).contains(&pieces.len()), "{} pieces, {total}", pieces.len());
-        assert!(pieces.iter().all(|p| !is_inside(DVec2::splat(2.0), std::slice::from_ref(p))));
+        assert!(pieces.iter().all(|p| !is_enclosed(DVec2::splat(2.0), std::slice::from_ref(p))));
         assert_eq!(convex(&[square(0.0, 4.0)]).len(), 1);
     }
 
-    /// By hand: a bow tie encloses two triangles of one square metre each. Lines may not cross here, so that the
-    /// triangles around the crossing count or do not, and the area stays within the square.
+    /// A bow tie encloses two triangles of one square metre each. The crossing itself is no corner of the triangulation, so
+    /// the area may differ, but it stays within the square.
     #[test]
-    fn lines_that_cross_are_no_fault() {
+    fn lines_may_cross() {
         let tie = [[0.0, 0.0], [2.0, 2.0], [2.0, 0.0], [0.0, 2.0]].map(DVec2::from).to_vec();
         let total: f64 = convex(&[tie]).iter().map(|p| area(p)).sum();
         assert!((0.0..=4.0).contains(&total), "{total}");

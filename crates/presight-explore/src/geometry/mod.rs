@@ -6,4 +6,4 @@ mod plane;
 
 pub(crate) use cells::{Cells, area, simplified};
 pub(crate) use convex::convex;
-pub(crate) use plane::Flat;
+pub(crate) use plane::{Flat, bounds, doubled_area, is_inside};

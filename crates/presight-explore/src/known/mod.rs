@@ -1,4 +1,4 @@
-//! Models that are known before an exploration.
+//! Correction of models from before the exploration.
 
 mod rough;
 

@@ -1,4 +1,4 @@
-//! What a sensor measured, and from where.
+//! Measurements with the poses of their sensors.
 
 use glam::{DMat3, DVec3, Vec3};
 use presight_model::error::{Error, Result};
@@ -7,11 +7,11 @@ use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::Sensor;
 use std::sync::Arc;
 
-/// A sensor and its rays, shared by all views of that sensor.
+/// A sensor with its rays. All views of the sensor share them.
 #[derive(Debug)]
 struct Optics {
     sensor: Sensor,
-    /// Unit rays in the image frame, row by row; NaN where there is none.
+    /// Unit rays in the image frame, row by row; NaN for a pixel without a ray.
     rays: Vec<Vec3>,
     /// Angle between neighbouring rays, radians.
     pitch: f32,
@@ -20,22 +20,23 @@ struct Optics {
 /// One measurement at a known pose.
 #[derive(Clone, Debug)]
 pub struct View {
-    /// Seconds, as in the log.
+    /// Time stamp in the log, seconds.
     pub stamp: f64,
     /// world_from_sensor, body axes.
     pub world_from_sensor: Pose,
-    /// Metres along each ray, row by row; infinite if nothing is within reach, NaN without a measurement.
+    /// Metres along each ray, row by row: infinite for a ray without a return, NaN without a measurement.
     pub ranges: Vec<f32>,
     optics: Arc<Optics>,
-    /// World from image, relative to [`Views::base`].
-    turn: DMat3,
+    /// Rotation from the image frame to the world.
+    rotation: DMat3,
+    /// Position of the sensor relative to [`Views::base`].
     origin: DVec3,
 }
 
 /// Measurements at known poses.
 #[derive(Clone, Debug, Default)]
 pub struct Views {
-    /// Subtracted from all points, so that sums far from the world's origin keep their digits.
+    /// Origin of all coordinates of points. It keeps the precision of sums far from the world's origin.
     base: DVec3,
     views: Vec<View>,
 }
@@ -57,59 +58,59 @@ impl Views {
         let sensor = frame.sensor();
         let known = self.views.last().map(|v| &v.optics).filter(|o| o.sensor.spec() == sensor.spec());
         let optics = known.cloned().unwrap_or_else(|| Arc::new(Optics::new(sensor.clone())));
-        let turn = world_from_sensor.rotation_matrix() * sensor.body_from_image();
+        let rotation = world_from_sensor.rotation_matrix() * sensor.body_from_image();
         let origin = world_from_sensor.translation - self.base;
-        // Where nothing is within reach, the ray went through all that is.
+        // An infinite range stays: that ray passed through free space.
         let hit = |r: &f32| if *r > 0.0 { *r } else { f32::NAN };
         let ranges = frame.ranges().iter().map(hit).collect();
-        self.views.push(View { stamp: frame.stamp, world_from_sensor, ranges, optics, turn, origin });
+        self.views.push(View { stamp: frame.stamp, world_from_sensor, ranges, optics, rotation, origin });
         Ok(())
     }
 
-    /// The point from which the view's own coordinates count, metres in the world.
+    /// Origin of the coordinates of all points, metres in the world.
     pub fn base(&self) -> DVec3 {
         self.base
     }
 
-    /// The measurements.
+    /// The views.
     #[doc(hidden)]
     pub fn all(&self) -> &[View] {
         &self.views
     }
 
-    /// The measurements with all poses moved.
+    /// The views after all their poses moved by a transform of the world.
     pub(crate) fn moved(self, by: &Pose) -> Self {
         let base = (*by * Pose { translation: self.base, ..Pose::IDENTITY }).translation.round();
         let moved = |view: View| {
             let world_from_sensor = *by * view.world_from_sensor;
-            let turn = world_from_sensor.rotation_matrix() * view.sensor().body_from_image();
-            View { world_from_sensor, turn, origin: world_from_sensor.translation - base, ..view }
+            let rotation = world_from_sensor.rotation_matrix() * view.sensor().body_from_image();
+            View { world_from_sensor, rotation, origin: world_from_sensor.translation - base, ..view }
         };
         Self { base, views: self.views.into_iter().map(moved).collect() }
     }
 
-    /// These measurements and others after them.
+    /// These views, followed by others.
     pub(crate) fn with(mut self, others: Self) -> Self {
         let shift = others.base - self.base;
         self.views.extend(others.views.into_iter().map(|view| View { origin: view.origin + shift, ..view }));
         self
     }
 
-    /// At most `most` of the measurements, evenly, the last one among them.
-    pub(crate) fn some(&self, most: usize) -> Self {
+    /// At most `max` views at even steps, the last one among them.
+    pub(crate) fn some(&self, max: usize) -> Self {
         let count = self.views.len();
-        let step = count.div_ceil(most.max(1)).max(1);
+        let step = count.div_ceil(max.max(1)).max(1);
         let mut views: Vec<View> = self.views.iter().rev().step_by(step).cloned().collect();
         views.reverse();
         Self { base: self.base, views }
     }
 
-    /// One of the measurements.
+    /// One of the views alone.
     pub(crate) fn only(&self, number: usize) -> Self {
         Self { base: self.base, views: vec![self.views[number].clone()] }
     }
 
-    /// The measurements without some of the distances, and their number.
+    /// The views without the ranges for which `is_out` is true, and the number of those ranges.
     pub(crate) fn without(&self, is_out: impl Fn(&View, usize) -> bool) -> (Self, usize) {
         let (mut left, mut count) = (self.clone(), 0);
         for (view, own) in left.views.iter_mut().zip(&self.views) {
@@ -131,7 +132,7 @@ impl Views {
         self.views.iter().map(points).fold(Aabb::EMPTY, Aabb::union)
     }
 
-    /// Number of measured distances.
+    /// Number of measured points.
     pub fn hits(&self) -> usize {
         self.views.iter().map(|v| v.ranges.iter().filter(|r| r.is_finite()).count()).sum()
     }
@@ -142,15 +143,15 @@ impl Optics {
         let (width, height) = (sensor.width(), sensor.height());
         let ray = |c, r| sensor.ray(c, r).map_or(Vec3::NAN, |ray| ray.as_vec3());
         let rays: Vec<Vec3> = (0..height).flat_map(|r| (0..width).map(move |c| ray(c, r))).collect();
-        let mut apart: Vec<f64> =
+        let mut angles: Vec<f64> =
             rays.windows(2).map(|p| f64::from(p[0].distance(p[1]))).filter(|a| *a > 0.0).collect();
-        let pitch = presight_model::statistics::median(&mut apart).unwrap_or(0.01) as f32;
+        let pitch = presight_model::statistics::median(&mut angles).unwrap_or(0.01) as f32;
         Self { sensor, rays, pitch }
     }
 }
 
 impl View {
-    /// The sensor.
+    /// The sensor of the view.
     pub fn sensor(&self) -> &Sensor {
         &self.optics.sensor
     }
@@ -170,7 +171,7 @@ impl View {
         self.optics.sensor.height() as usize
     }
 
-    /// Pixels that have neighbours on all sides.
+    /// Pixels with neighbours on all four sides.
     pub(crate) fn inner_pixels(&self) -> impl Iterator<Item = usize> + use<> {
         let (width, height) = (self.width(), self.height());
         (1..height.saturating_sub(1)).flat_map(move |row| row * width + 1..(row + 1) * width - 1)
@@ -187,15 +188,9 @@ impl View {
         self.optics.rays[pixel] * self.ranges[pixel]
     }
 
-    /// Unit ray of a pixel, in body axes.
+    /// Unit ray of a pixel in body axes.
     pub(crate) fn in_body(&self, pixel: usize) -> DVec3 {
         self.optics.sensor.body_from_image() * self.optics.rays[pixel].as_dvec3()
-    }
-
-    /// Unit ray of a pixel in the image frame.
-    #[inline]
-    pub(crate) fn ray_in_image(&self, pixel: usize) -> DVec3 {
-        self.optics.rays[pixel].as_dvec3()
     }
 
     /// The measured point of a pixel, relative to the base of the views.
@@ -206,33 +201,33 @@ impl View {
     /// Unit ray of a pixel, relative to the base of the views.
     #[inline]
     pub(crate) fn ray(&self, pixel: usize) -> DVec3 {
-        self.turn * self.optics.rays[pixel].as_dvec3()
+        self.rotation * self.optics.rays[pixel].as_dvec3()
     }
 
-    /// Place of the sensor relative to the base of the views.
+    /// Position of the sensor relative to the base of the views.
     pub(crate) fn origin(&self) -> DVec3 {
         self.origin
     }
 
-    /// Turns a direction from the image frame to the world.
+    /// A direction of the image frame in the world.
     #[inline]
-    pub(crate) fn turned(&self, direction: Vec3) -> DVec3 {
-        self.turn * direction.as_dvec3()
+    pub(crate) fn direction_to_world(&self, direction: Vec3) -> DVec3 {
+        self.rotation * direction.as_dvec3()
     }
 
-    /// A point relative to the base of the views, in the image frame.
+    /// A point given relative to the base of the views, in the image frame.
     #[inline]
     pub(crate) fn to_image(&self, p: DVec3) -> DVec3 {
-        self.turn.transpose() * (p - self.origin)
+        self.rotation.transpose() * (p - self.origin)
     }
 
-    /// A direction in the image frame.
+    /// A direction of the world in the image frame.
     #[inline]
     pub(crate) fn direction_to_image(&self, d: DVec3) -> DVec3 {
-        self.turn.transpose() * d
+        self.rotation.transpose() * d
     }
 
-    /// The pixel nearest to the direction of a point of the image frame; `None` outside of the image.
+    /// The pixel whose ray is nearest to the direction of a point, given in the image frame; `None` outside the image.
     #[inline]
     pub(crate) fn pixel_towards(&self, p: Vec3) -> Option<usize> {
         let (u, v) = self.optics.sensor.project_nearly(p)?;
@@ -241,7 +236,8 @@ impl View {
         (u >= 0.0 && v >= 0.0 && u < width as f32 && v < height as f32).then(|| v as usize * width + u as usize)
     }
 
-    /// That pixel's unit ray and the distance measured along it; `None` without a measurement, too.
+    /// The unit ray of the nearest pixel, as of [`Self::pixel_towards`], and its range; `None` outside the image and without a
+    /// measurement.
     #[inline]
     pub(crate) fn towards(&self, p: Vec3) -> Option<(Vec3, f32)> {
         let pixel = self.pixel_towards(p)?;

@@ -1,4 +1,4 @@
-//! Surfaces that were found.
+//! The surfaces of views.
 
 use super::outline::{Areas, Piece};
 use crate::geometry::Flat;
@@ -7,29 +7,30 @@ use std::collections::BTreeMap;
 
 /// Convex polygons that explain views.
 pub(crate) struct Surfaces {
-    /// Metres in the world: what all coordinates count from.
+    /// Origin of all coordinates, metres in the world.
     pub(crate) base: DVec3,
+    /// Size of the smallest surfels, metres.
     pub(crate) detail: f64,
-    /// Points behind mirrors, which are left out.
+    /// Number of omitted points in mirrors.
     pub(crate) mirrored: usize,
     pub(crate) planes: Vec<Flat>,
     pub(crate) pieces: Vec<Piece>,
-    /// By plane: rays that ended on it, and that went through.
+    /// By plane: weights of the rays that ended on it, and of those that passed through it.
     pub(crate) evidence: Vec<[f64; 2]>,
-    /// By plane: its standard deviation along its normal, metres.
+    /// By plane: the standard deviation along its normal, metres.
     pub(crate) sigmas: Vec<f64>,
-    /// By plane: the lowest plane that a chain of views joins it with.
+    /// By plane: the lowest index of the planes that a chain of views connects with it.
     pub(crate) parts: Vec<u32>,
-    /// By plane: places at its border that nobody saw, and the side of their cells.
+    /// By plane: unobserved places at its border, and the size of their cells, metres.
     pub(crate) unseen: Vec<(Vec<DVec3>, f64)>,
-    /// Numbers of planes that touch, rising.
-    pub(crate) beside: Vec<[u32; 2]>,
-    /// Areas over all planes.
+    /// Pairs of planes that touch, the lower index first.
+    pub(crate) adjacent: Vec<[u32; 2]>,
+    /// Areas of all planes.
     pub areas: Areas,
 }
 
 impl Surfaces {
-    /// Area of each part that no chain of views joins with another, square metres, the largest first.
+    /// Areas of the parts that no chain of views connects, square metres, the largest first.
     pub(crate) fn parts(&self) -> Vec<f64> {
         let mut areas = BTreeMap::<u32, f64>::new();
         for piece in &self.pieces {

@@ -5,7 +5,7 @@ use crate::surfels::Surfel;
 use glam::{DMat3, DVec3};
 use presight_model::matrix;
 
-/// Sums over surfels.
+/// Sums over surfels that determine a plane.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Moments {
     pub count: f64,
@@ -50,7 +50,7 @@ impl Moments {
         }
     }
 
-    /// Variances along the principal axes, least first, with the least one's direction.
+    /// Variances along the principal axes, ascending, and the direction of the smallest.
     fn principal(&self) -> ([f64; 3], DVec3) {
         let c = self.at / self.weight;
         let m = self.outer * (1.0 / self.weight) - DMat3::from_cols(c * c.x, c * c.y, c * c.z);
@@ -59,11 +59,11 @@ impl Moments {
         let (values, vectors) = matrix::eigen(a, 3);
         let mut order = [0, 1, 2];
         order.sort_by(|i, j| values[*i].total_cmp(&values[*j]));
-        let least = order[0];
-        (order.map(|k| values[k].max(0.0)), DVec3::new(vectors[0][least], vectors[1][least], vectors[2][least]))
+        let axis = order[0];
+        (order.map(|k| values[k].max(0.0)), DVec3::new(vectors[0][axis], vectors[1][axis], vectors[2][axis]))
     }
 
-    /// The plane. Few surfels, or ones along a line, say less than their normals.
+    /// The plane that fits best. The mean normal decides for few surfels and for surfels along a line.
     pub fn plane(&self) -> Flat {
         let (variances, axis) = self.principal();
         let mean = self.weighted_normal.normalize_or(DVec3::Z);
@@ -72,7 +72,7 @@ impl Moments {
         Flat { centre: self.at / self.weight, normal }
     }
 
-    /// What one plane for all costs, in squared metres: squared distances and the spread of the normals.
+    /// The cost of one plane for all surfels, square metres: squared distances, and `normals` times the spread of the normals.
     pub fn cost(&self, normals: f64) -> f64 {
         if self.count < 1.0 {
             return 0.0;

@@ -6,18 +6,18 @@ use presight_model::threads::Threads;
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct ExploreOptions {
-    /// Most polygons.
+    /// Maximum number of polygons.
     pub polygons: usize,
-    /// Side of the smallest pieces of surface that are distinguished, metres; `None` for what the noise of the ranges, the distance of
-    /// neighbouring points and the number of views allow, 2 cm at least.
+    /// Size of the smallest distinguished pieces of surface, metres; `None` for the size that the noise of the ranges, the spacing of points
+    /// and the number of views support, at least 2 cm.
     pub detail: Option<f64>,
-    /// Height of walls that a level scanner of one row sees, metres.
+    /// Height of the walls from level scans of one row, metres.
     pub wall_height: f64,
-    /// Height of the floor that these walls stand on, metres.
+    /// Height of the floor below these walls, metres.
     pub floor: f64,
-    /// A beam of such a scanner this near to a known wall is explained, metres.
+    /// Maximum distance from a known wall at which the wall explains a beam, metres.
     pub wall_tolerance: f64,
-    /// Threads.
+    /// Threads for all computations.
     pub threads: Threads,
 }
 

@@ -1,48 +1,46 @@
-//! Regions of surfels that lie on one plane each: grown, adapted to each other, and merged while that costs little.
+//! Regions of surfels on planes: grown, adapted to each other, and merged while the cost is low.
 
 use super::moments::Moments;
 use crate::geometry::Flat;
-use crate::surfels::{NEAR, Noise, Surface, Surfel};
+use crate::surfels::{NEAR, Noise, SIMILAR, Surface, Surfel};
 use rayon::prelude::*;
 use std::cmp::Ordering;
 use std::collections::{BTreeSet, BinaryHeap};
 
-/// While a region grows: least cosine between normals (25 degrees).
-const ALIKE: f64 = 0.906;
 /// Standard deviation of a surfel from its plane, in sizes of the surfel.
-const SPREAD: f64 = 0.3;
-/// Deviation of normals that weighs as much: 1 - cosine.
+pub(crate) const SPREAD: f64 = 0.3;
+/// Deviation of a normal with the same weight: 1 - cosine.
 const NORMAL_SPREAD: f64 = 0.06;
-/// What deviating normals cost in a merge, in squares of the least size of surfels.
+/// Cost of deviating normals in a merge, in squares of the minimum size of surfels.
 const NORMAL_COST: f64 = 0.15;
-/// A merge that costs less than this makes no difference: squares of the least size of surfels.
-const CHEAP: f64 = 0.03;
-/// Errors of planes that noise hides: standard deviations of a range.
+/// Negligible cost of a merge, in squares of the minimum size of surfels.
+const NEGLIGIBLE: f64 = 0.03;
+/// Maximum error of a plane that the noise hides, in standard deviations of a range.
 const HIDDEN: f64 = 3.0;
-/// One plane in place of two costs fewer variances of the surfels than this in 99 of 100 merges if noise is all that differs: chi
-/// squared with the three degrees of freedom of a plane.
+/// Cost of a merge, in variances of the surfels, that 99 of 100 merges do not exceed if only noise separates the two planes: chi squared
+/// with the three degrees of freedom of a plane.
 const BY_CHANCE: f64 = 11.34;
-/// How often regions adapt to each other before and after they are merged.
+/// Numbers of adaptation rounds before and after the merge.
 const ROUNDS: [usize; 2] = [4, 5];
 
-/// Surfels by the plane that they lie on.
+/// Surfels with their planes.
 pub(crate) struct Regions {
-    /// The number of the plane of each surfel.
+    /// By surfel: the index of its plane.
     pub labels: Vec<u32>,
     pub planes: Vec<Flat>,
 }
 
 impl Regions {
-    /// At most `most` planes; fewer where noise hides what merging costs. `least` is the least size of surfels.
-    pub fn new(surface: &Surface, (least, noise): (f64, Noise), most: usize) -> Self {
+    /// At most `max` planes, and fewer where noise hides the cost of a merge. `min_size` is the minimum size of surfels, metres.
+    pub fn new(surface: &Surface, (min_size, noise): (f64, Noise), max: usize) -> Self {
         let mut regions = grown(surface);
         regions.adapt(surface, ROUNDS[0]);
-        regions.merge(surface, least, most, &Free::new(least, noise));
+        regions.merge(surface, min_size, max, &FreeCost::new(min_size, noise));
         regions.adapt(surface, ROUNDS[1]);
         regions
     }
 
-    /// The surfels of each plane.
+    /// By plane: the indices of its surfels.
     pub fn members(&self) -> Vec<Vec<u32>> {
         let mut members = vec![Vec::new(); self.planes.len()];
         for (label, surfel) in self.labels.iter().zip(0..) {
@@ -51,7 +49,7 @@ impl Regions {
         members
     }
 
-    /// Each surfel goes to the best plane of its neighbours' planes; planes follow.
+    /// Moves each surfel to the best plane among those of its neighbours, then fits the planes again.
     fn adapt(&mut self, surface: &Surface, rounds: usize) {
         for _ in 0..rounds {
             let (labels, planes) = (&self.labels, &self.planes);
@@ -72,16 +70,16 @@ impl Regions {
     }
 
     /// Merges neighbouring regions, the cheapest pair first.
-    fn merge(&mut self, surface: &Surface, least: f64, most: usize, free: &Free) {
+    fn merge(&mut self, surface: &Surface, min_size: f64, max: usize, free: &FreeCost) {
         // The uncertainty of a surfel grows with its size.
-        let weight = |s: &Surfel| (least / s.size).powi(2);
-        let mut merger = Merger::new(moments(surface, &self.labels, self.planes.len(), weight), least);
+        let weight = |s: &Surfel| (min_size / s.size).powi(2);
+        let mut merger = Merger::new(moments(surface, &self.labels, self.planes.len(), weight), min_size);
         for (i, label) in self.labels.iter().enumerate() {
             for n in surface.neighbours(i) {
-                merger.touch(*label, self.labels[*n as usize]);
+                merger.connect(*label, self.labels[*n as usize]);
             }
         }
-        let number = merger.run(most, free);
+        let number = merger.run(max, free);
         self.labels.iter_mut().for_each(|label| *label = number[*label as usize]);
         let count = number.iter().filter(|n| **n != u32::MAX).max().map_or(0, |n| *n as usize + 1);
         self.planes = moments(surface, &self.labels, count, |s| s.weight).iter().map(Moments::plane).collect();
@@ -100,13 +98,13 @@ fn moments(surface: &Surface, labels: &[u32], count: usize, weight: impl Fn(&Sur
     all
 }
 
-/// Regions grown from the flattest surfels.
+/// Regions grown from seeds, the flattest surfels first.
 fn grown(surface: &Surface) -> Regions {
     let surfels = &surface.surfels;
     let flatness = |i: usize| {
         let near = surface.neighbours(i);
-        let alike: f64 = near.iter().map(|n| surfels[*n as usize].normal.dot(surfels[i].normal)).sum();
-        alike / near.len().max(1) as f64 * near.len().min(20) as f64
+        let similarity: f64 = near.iter().map(|n| surfels[*n as usize].normal.dot(surfels[i].normal)).sum();
+        similarity / near.len().max(1) as f64 * near.len().min(20) as f64
     };
     let flatness: Vec<f64> = (0..surfels.len()).into_par_iter().map(flatness).collect();
     let mut seeds: Vec<u32> = (0..surfels.len() as u32).collect();
@@ -134,7 +132,7 @@ fn grow(surface: &Surface, labels: &mut [u32], seed: u32, label: u32) -> Flat {
         let mut next = Vec::new();
         for n in front.iter().flat_map(|i| surface.neighbours(*i as usize)) {
             let s = &surfels[*n as usize];
-            let fits = plane.above(s.at).abs() < NEAR * s.size && s.normal.dot(plane.normal) > ALIKE;
+            let fits = plane.above(s.at).abs() < NEAR * s.size && s.normal.dot(plane.normal) > SIMILAR;
             if fits && labels[*n as usize] == u32::MAX {
                 labels[*n as usize] = label;
                 moments.add(s, s.weight);
@@ -150,23 +148,26 @@ fn grow(surface: &Surface, labels: &mut [u32], seed: u32, label: u32) -> Flat {
     moments.plane()
 }
 
-/// What a merge may cost without a difference that noise would show, square metres.
-struct Free {
-    by_chance: f64,
+/// The cost of a merge that noise alone explains, square metres.
+struct FreeCost {
+    constant: f64,
     /// For each surfel of the smaller region.
-    of_each: f64,
+    per_surfel: f64,
 }
 
-impl Free {
-    /// A plane through an arc whose middle is e off its chord costs n e^2 4 / 45 for n surfels, and planes through its halves a
-    /// sixteenth of that: the merge costs e^2 / 6 for each surfel of a half.
-    fn new(least: f64, noise: Noise) -> Self {
+impl FreeCost {
+    /// A plane through an arc of n surfels with the sagitta e costs n e^2 4 / 45, and planes through its halves cost a sixteenth of that. The
+    /// merge of the halves costs the difference, e^2 / 6 for each surfel of a half.
+    fn new(min_size: f64, noise: Noise) -> Self {
         let e = HIDDEN * noise.range;
-        Self { by_chance: (CHEAP * least * least).max(BY_CHANCE * noise.place.powi(2)), of_each: e * e / 6.0 }
+        Self {
+            constant: (NEGLIGIBLE * min_size * min_size).max(BY_CHANCE * noise.place.powi(2)),
+            per_surfel: e * e / 6.0,
+        }
     }
 }
 
-/// Two regions that may be merged, at the versions for which the price was worked out.
+/// A possible merge of two regions, with their versions at the time of the offer.
 struct Offer {
     price: f64,
     pair: [u32; 2],
@@ -188,7 +189,7 @@ impl PartialOrd for Offer {
 }
 
 impl Ord for Offer {
-    /// The cheapest is the greatest: heaps give the greatest first.
+    /// The cheapest offer is the greatest, because heaps return the greatest first.
     fn cmp(&self, other: &Self) -> Ordering {
         other.price.total_cmp(&self.price).then(other.pair.cmp(&self.pair))
     }
@@ -197,26 +198,29 @@ impl Ord for Offer {
 struct Merger {
     moments: Vec<Moments>,
     costs: Vec<f64>,
-    beside: Vec<BTreeSet<u32>>,
+    /// By region: the adjacent regions.
+    adjacent: Vec<BTreeSet<u32>>,
     versions: Vec<u32>,
+    /// By region: the region that took it in, or itself.
     into: Vec<u32>,
     offers: BinaryHeap<Offer>,
+    /// Cost of the spread of normals, square metres.
     normals: f64,
 }
 
 impl Merger {
-    fn new(moments: Vec<Moments>, least: f64) -> Self {
-        let (count, normals) = (moments.len(), NORMAL_COST * least * least);
+    fn new(moments: Vec<Moments>, min_size: f64) -> Self {
+        let (count, normals) = (moments.len(), NORMAL_COST * min_size * min_size);
         let costs = moments.iter().map(|m| m.cost(normals)).collect();
-        let (beside, versions) = (vec![BTreeSet::new(); count], vec![0; count]);
+        let (adjacent, versions) = (vec![BTreeSet::new(); count], vec![0; count]);
         let into = (0..count as u32).collect();
-        Self { moments, costs, beside, versions, into, offers: BinaryHeap::new(), normals }
+        Self { moments, costs, adjacent, versions, into, offers: BinaryHeap::new(), normals }
     }
 
-    fn touch(&mut self, a: u32, b: u32) {
+    fn connect(&mut self, a: u32, b: u32) {
         if a != b {
-            self.beside[a as usize].insert(b);
-            self.beside[b as usize].insert(a);
+            self.adjacent[a as usize].insert(b);
+            self.adjacent[b as usize].insert(a);
         }
     }
 
@@ -227,12 +231,12 @@ impl Merger {
         self.offers.push(Offer { price, pair: [p, q], versions: [self.versions[i], self.versions[j]] });
     }
 
-    /// Merges until at most `most` regions are left and no merge is free. Returns the new number of each region; `u32::MAX` for regions
+    /// Merges until at most `max` regions are left and no merge is free. Returns the new index of each region, `u32::MAX` for a region
     /// without surfels.
-    fn run(mut self, most: usize, free: &Free) -> Vec<u32> {
+    fn run(mut self, max: usize, free: &FreeCost) -> Vec<u32> {
         let mut left = self.moments.iter().filter(|m| m.count > 0.0).count();
         for a in 0..self.moments.len() as u32 {
-            let later: Vec<u32> = self.beside[a as usize].range(a + 1..).copied().collect();
+            let later: Vec<u32> = self.adjacent[a as usize].range(a + 1..).copied().collect();
             later.into_iter().for_each(|b| self.offer(a, b));
         }
         while let Some(Offer { price, pair: [p, q], versions }) = self.offers.pop() {
@@ -241,7 +245,7 @@ impl Merger {
                 continue;
             }
             let smaller = self.moments[i].weight.min(self.moments[j].weight);
-            if left > most || price <= free.by_chance + free.of_each * smaller {
+            if left > max || price <= free.constant + free.per_surfel * smaller {
                 left -= 1;
                 self.unite(p, q);
             }
@@ -255,20 +259,20 @@ impl Merger {
         self.costs[i] = self.moments[i].cost(self.normals);
         self.versions[i] += 1;
         self.into[j] = p;
-        for r in std::mem::take(&mut self.beside[j]) {
-            self.beside[r as usize].remove(&q);
+        for r in std::mem::take(&mut self.adjacent[j]) {
+            self.adjacent[r as usize].remove(&q);
             if r != p {
-                self.touch(p, r);
+                self.connect(p, r);
             }
         }
-        let beside: Vec<u32> = self.beside[i].iter().copied().collect();
-        beside.into_iter().for_each(|r| self.offer(p, r));
+        let adjacent: Vec<u32> = self.adjacent[i].iter().copied().collect();
+        adjacent.into_iter().for_each(|r| self.offer(p, r));
     }
 
     fn numbered(&self) -> Vec<u32> {
         let mut number = vec![u32::MAX; self.into.len()];
         let mut count = 0;
-        // A region is merged into one with a lower number.
+        // A region is merged into one with a lower index.
         for i in 0..self.into.len() {
             if self.into[i] as usize != i {
                 number[i] = number[self.into[i] as usize];

@@ -1,9 +1,10 @@
-//! Pieces as a world that predicts, and what the prediction says about them.
+//! Comparison of pieces with the views: predictions from a world of the pieces alone.
 
+use super::fit::PlaneFit;
 use super::outline::Piece;
 use crate::geometry::Flat;
 use crate::observe::Views;
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DVec3, Vec3};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
@@ -12,10 +13,13 @@ use presight_model::world::World;
 use presight_predict::predict::Predictor;
 use presight_render::plan::{Images, Output, Outputs};
 
-/// Distances beyond this are of another surface, in units of the tolerance.
+/// Distance beyond which a point belongs to another surface, in units of the tolerance.
 const SAME_SURFACE: f64 = 10.0;
+/// Minimum weight of the rays that move a plane.
+const MIN_WEIGHT: f64 = 5.0;
 
-/// The mesh of convex polygons with these corners, metres. Polygons that f32 cannot hold become triangles, or go.
+/// The mesh of convex polygons with these corners, metres, and for each polygon of the mesh the index of its source. Polygons that
+/// f32 cannot represent are split into triangles, and triangles of that kind are dropped.
 pub(crate) fn mesh<'a>(
     name: &str,
     polygons: impl Iterator<Item = &'a [DVec3]>,
@@ -44,21 +48,22 @@ pub(crate) fn mesh<'a>(
     Ok((Mesh::new(name, vertices, list, PolygonOrder::Given)?, of))
 }
 
-/// A world of pieces alone.
+/// A world that consists of pieces.
 pub(crate) struct Solid {
     world: World,
     /// The piece of each slot.
     piece: Vec<u32>,
 }
 
-/// What a view says about the piece that it should show at a pixel.
+/// A pixel of a view with a predicted piece and a measurement.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen {
+pub(crate) struct PixelComparison {
     pub view: usize,
     pub pixel: usize,
     pub piece: u32,
-    /// Metres along the ray.
+    /// Predicted range, metres.
     pub predicted: f64,
+    /// Measured range, metres; infinite without a return.
     pub measured: f64,
 }
 
@@ -75,48 +80,38 @@ impl Solid {
         Ok(Self { world: World::new(environment), piece })
     }
 
-    /// Visits all pixels, of each `step`-th view, where something is measured, if only that nothing is within reach, and
-    /// something predicted.
-    pub fn visit(&self, predictor: &mut Predictor, views: &Views, step: usize, visit: impl FnMut(Seen)) -> Result<()> {
-        visit_world(predictor, &self.world, views, step, |slot| self.piece[slot as usize], visit)
+    /// Compares all pixels of the views that have a measurement, which may be the absence of a return, and a prediction.
+    pub fn compare(&self, predictor: &mut Predictor, views: &Views, visit: impl FnMut(PixelComparison)) -> Result<()> {
+        compare(predictor, &self.world, views, |slot| self.piece[slot as usize], visit)
     }
 }
 
-/// Visits all pixels, of each `step`-th view, where something is measured and something predicted. `number` turns the
-/// slots of polygons into the numbers that are visited.
-pub(crate) fn visit_world(
+/// Compares all pixels of the views that have a measurement and a prediction. `number` maps the slot of a polygon to
+/// [`PixelComparison::piece`].
+pub(crate) fn compare(
     predictor: &mut Predictor,
     world: &World,
     views: &Views,
-    step: usize,
     number: impl Fn(u32) -> u32,
-    mut visit: impl FnMut(Seen),
+    mut visit: impl FnMut(PixelComparison),
 ) -> Result<()> {
     let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
     let mut images = Images::default();
-    for (at, view) in views.all().iter().enumerate().step_by(step) {
+    for (at, view) in views.all().iter().enumerate() {
         predictor.predict_images(world, view.sensor(), &view.world_from_sensor, outputs, &mut images)?;
         for pixel in 0..view.ranges.len() {
             let (predicted, measured, id) = (images.range[pixel], view.ranges[pixel], images.polygon_id[pixel]);
             if id > 0 && predicted.is_finite() && !measured.is_nan() {
                 let (predicted, measured) = (f64::from(predicted), f64::from(measured));
-                visit(Seen { view: at, pixel, piece: number(id - 1), predicted, measured });
+                visit(PixelComparison { view: at, pixel, piece: number(id - 1), predicted, measured });
             }
         }
     }
     Ok(())
 }
 
-/// Normal equations of a plane: its height over the centre and its two slopes.
-#[derive(Clone, Copy)]
-struct Normals {
-    a: DMat3,
-    b: DVec3,
-    weight: f64,
-}
-
-/// Moves planes so that the rays which end on their pieces end on them: height and slopes, robust against other
-/// surfaces. `tolerance` is the distance at which a ray counts half, metres, by plane.
+/// Planes fitted to the rays that end on their pieces, robust against other surfaces. `tolerance` is the distance at which
+/// the weight of a ray is halved, metres, by plane.
 pub(crate) fn refitted(
     predictor: &mut Predictor,
     views: &Views,
@@ -125,73 +120,71 @@ pub(crate) fn refitted(
     planes: &[Flat],
     tolerance: &[f64],
 ) -> Result<Vec<Flat>> {
-    let mut sums = vec![Normals { a: DMat3::ZERO, b: DVec3::ZERO, weight: 0.0 }; planes.len()];
-    let axes: Vec<[DVec3; 2]> = planes.iter().map(Flat::axes).collect();
-    solid.visit(predictor, views, 1, |seen| {
-        let k = pieces[seen.piece as usize].plane as usize;
-        if (seen.predicted - seen.measured).abs() > SAME_SURFACE * tolerance[k] {
-            return;
+    let mut fits = vec![PlaneFit::ZERO; planes.len()];
+    solid.compare(predictor, views, |at| {
+        let k = pieces[at.piece as usize].plane as usize;
+        if (at.predicted - at.measured).abs() <= SAME_SURFACE * tolerance[k] {
+            let view = &views.all()[at.view];
+            let ray = view.ray(at.pixel);
+            let cosine = ray.dot(planes[k].normal).abs();
+            fits[k].add(&planes[k], view.origin() + ray * at.measured, cosine, tolerance[k]);
         }
-        let view = &views.all()[seen.view];
-        let ray = view.ray(seen.pixel);
-        let p = view.origin() + ray * seen.measured - planes[k].centre;
-        let off = p.dot(planes[k].normal);
-        let weight = ray.dot(planes[k].normal).abs() / (1.0 + (off / tolerance[k]).powi(2));
-        let j = DVec3::new(1.0, p.dot(axes[k][0]), p.dot(axes[k][1]));
-        sums[k].a += DMat3::from_cols(j * (weight * j.x), j * (weight * j.y), j * (weight * j.z));
-        sums[k].b += j * (weight * off);
-        sums[k].weight += weight;
     })?;
-    let moved = |((plane, sum), [x, y]): ((&Flat, &Normals), &[DVec3; 2])| {
-        if sum.weight < 5.0 {
+    let moved = |(plane, fit): (&Flat, &PlaneFit)| {
+        if fit.weight < MIN_WEIGHT {
             return *plane;
         }
-        // Slopes of narrow planes are held.
-        let held = 0.02 * (sum.a.y_axis.y + sum.a.z_axis.z) + 1e-4;
-        let change = (sum.a + DMat3::from_diagonal(DVec3::new(1e-6, held, held))).inverse() * sum.b;
-        let normal = (plane.normal - *x * change.y - *y * change.z).normalize();
+        let ([x, y], change) = (plane.axes(), fit.correction());
+        let normal = (plane.normal - x * change.y - y * change.z).normalize();
         Flat { centre: plane.centre + plane.normal * change.x, normal }
     };
-    Ok(planes.iter().zip(&sums).zip(&axes).map(moved).collect())
+    Ok(planes.iter().zip(&fits).map(moved).collect())
 }
 
-/// What rays say about a piece.
+/// Numbers of pixels for and against a piece.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Shown {
+pub(crate) struct PixelCounts {
     /// Pixels that it explains.
-    pub explains: u32,
-    /// Pixels that saw something behind it.
-    pub blocks: u32,
+    pub explained: u32,
+    /// Pixels with a measurement behind it.
+    pub blocked: u32,
 }
 
-/// What all views say about pieces and their planes.
+impl PixelCounts {
+    /// Explained minus blocked pixels.
+    pub fn gain(&self) -> i64 {
+        i64::from(self.explained) - i64::from(self.blocked)
+    }
+}
+
+/// Comparison of pieces and their planes with all views.
 pub(crate) struct Verdicts {
-    /// By piece.
-    pub shown: Vec<Shown>,
-    /// By plane: its standard deviation along its normal, metres.
+    /// Pixels by piece.
+    pub pixels: Vec<PixelCounts>,
+    /// By plane: the standard deviation along its normal, metres.
     pub sigmas: Vec<f64>,
-    /// By plane: the lowest plane that a chain of views joins it with.
+    /// By plane: the lowest index of the planes that a chain of views connects with it.
     pub parts: Vec<u32>,
 }
 
-/// What rays say about each piece, and about its plane.
-pub(crate) fn shown(
+/// Compares pieces with all views. `tolerance` is that of [`refitted`].
+pub(crate) fn verdicts(
     predictor: &mut Predictor,
     views: &Views,
     solid: &Solid,
     pieces: &[Piece],
     tolerance: &[f64],
 ) -> Result<Verdicts> {
-    let mut shown = vec![Shown::default(); pieces.len()];
-    // Squares, pixels, views and the last view of each plane.
+    let mut counts = vec![PixelCounts::default(); pieces.len()];
+    // By plane: sum of squares, number of pixels, number of views, and the last view.
     let mut sums = vec![(0.0, 0.0, 0.0, usize::MAX); tolerance.len()];
-    let (mut parts, mut first) = (UnionFind::new(tolerance.len()), (usize::MAX, 0));
-    solid.visit(predictor, views, 1, |seen| {
+    let (mut connected, mut first) = (UnionFind::new(tolerance.len()), (usize::MAX, 0));
+    solid.compare(predictor, views, |seen| {
         let plane = pieces[seen.piece as usize].plane as usize;
         let (near, behind) = (4.0 * tolerance[plane], seen.measured - seen.predicted);
-        let piece = &mut shown[seen.piece as usize];
-        piece.explains += u32::from(behind.abs() < near);
-        piece.blocks += u32::from(behind > 2.0 * near);
+        let piece = &mut counts[seen.piece as usize];
+        piece.explained += u32::from(behind.abs() < near);
+        piece.blocked += u32::from(behind > 2.0 * near);
         if behind.abs() < near {
             let (squares, pixels, views, last) = &mut sums[plane];
             *squares += behind * behind;
@@ -201,13 +194,13 @@ pub(crate) fn shown(
             if first.0 != seen.view {
                 first = (seen.view, plane as u32);
             }
-            parts.join(first.1, plane as u32);
+            connected.join(first.1, plane as u32);
         }
     })?;
-    // Errors of the pixels of one view are common to them, so that views count and pixels do not.
+    // The pixels of one view share their errors, so the variance falls with the number of views, not of pixels.
     let sigma = |((squares, pixels, views, _), tolerance): (&(f64, f64, f64, usize), &f64)| {
         if *views > 0.0 { (squares / pixels / views).sqrt().max(1e-4) } else { *tolerance }
     };
     let sigmas = sums.iter().zip(tolerance).map(sigma).collect();
-    Ok(Verdicts { shown, sigmas, parts: parts.into_roots() })
+    Ok(Verdicts { pixels: counts, sigmas, parts: connected.into_roots() })
 }

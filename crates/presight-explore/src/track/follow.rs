@@ -1,5 +1,5 @@
-//! Exploration without poses: each frame is localized in the model made so far, and adds to it. Frames that show nothing known begin a
-//! group of their own, which is joined when the two meet.
+//! Exploration without poses: each frame is localized in the model of the frames before it, and added to it. A frame outside the model
+//! starts a new group, which is merged when a later frame connects the two.
 
 use super::group::{Group, Searcher};
 use crate::change::Known;
@@ -11,38 +11,38 @@ use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
 use presight_model::matrix::{sandwich, turn};
 use presight_model::measured::Frame;
 
-/// Polygons of the model while the sensor moves on.
+/// Maximum number of polygons of the intermediate models.
 const POLYGONS: usize = 1000;
-/// Pairs of places at which groups are compared whenever a model is made: what that costs at most.
-const MOST_PAIRS: usize = 32;
+/// Maximum number of pairs of places that are compared after each new model, which bounds the time of the comparison.
+const MAX_PAIRS: usize = 32;
 
-/// Explores without poses. The first frame fixes the frame of the world.
+/// Explores without poses. The pose of the first frame defines the world frame.
 pub struct Follower {
     options: ExploreOptions,
-    /// The known model, until the first frame.
+    /// The known model, which the first frame takes.
     known: Option<(Environment, Known)>,
     start: Pose,
-    /// The group of the first frame, and others that never met it.
+    /// The group of the first frame, and those not yet connected to it.
     groups: Vec<Group>,
-    /// The group that is followed.
+    /// Index of the group that is followed.
     current: usize,
-    /// For single frames.
+    /// The search for single frames.
     searcher: Searcher,
-    /// Times of frames that show nothing flat.
+    /// Time stamps of frames without a flat surface, seconds.
     empty: Vec<f64>,
 }
 
-/// The pose of a frame, found on the way.
+/// The estimated pose of a frame.
 #[derive(Clone, Copy, Debug)]
 pub struct FoundPose {
-    /// Seconds.
+    /// Time stamp, seconds.
     pub stamp: f64,
-    /// world_from_robot with its covariance, which includes the drift since the first frame.
+    /// world_from_robot, with a covariance that includes the drift since the first frame.
     pub pose: PoseEstimate,
 }
 
 impl Follower {
-    /// Starts at the pose of the robot at the first frame.
+    /// Starts with the pose of the robot at the first frame.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::System`] without threads.
@@ -58,7 +58,7 @@ impl Follower {
         })
     }
 
-    /// Localizes the next frame and adds it; `None` if it is not in the group of the first frame, at least not yet.
+    /// Localizes the next frame and adds it. `None` if the frame is not connected to the group of the first frame, at least not yet.
     ///
     /// # Errors
     /// Those of [`presight_localize::localize::Localizer::step`] and [`crate::Exploration::of`].
@@ -79,7 +79,7 @@ impl Follower {
         }
         let is_first = self.current == 0 && found.is_some();
         if found.is_some() && self.groups[self.current].grow(&self.options)? {
-            self.meet()?;
+            self.merge()?;
         }
         let group = &self.groups[0];
         let pose = found.filter(|_| is_first).map(|pose| PoseEstimate::new(pose.world_from_robot, group.drift()));
@@ -93,14 +93,14 @@ impl Follower {
         self.current = group;
     }
 
-    /// Begins another group. Its frame of reference has nothing to do with the first one's.
+    /// Starts another group, whose frame of reference is independent of the first group.
     fn begin(&mut self, frame: &Frame) -> Result<()> {
-        let nothing = (Environment::new(), Known::Explored);
-        match Group::new(frame, Pose::IDENTITY, nothing, &self.options) {
+        let empty = (Environment::new(), Known::Explored);
+        match Group::new(frame, Pose::IDENTITY, empty, &self.options) {
             Ok(group) => {
                 self.groups.push(group);
                 self.follow(self.groups.len() - 1);
-                self.meet()
+                self.merge()
             }
             Err(e) if e.kind() == ErrorKind::Invalid => {
                 self.empty.push(frame.stamp);
@@ -110,23 +110,23 @@ impl Follower {
         }
     }
 
-    /// Joins the followed group with the groups that it meets. The first group is compared first, then the latest.
-    fn meet(&mut self) -> Result<()> {
-        let mut pairs = MOST_PAIRS;
-        while let Some((other, pose)) = self.met(&mut pairs)? {
+    /// Merges the followed group with the groups that it is connected to. The first group is compared first, then the latest ones.
+    fn merge(&mut self) -> Result<()> {
+        let mut pairs = MAX_PAIRS;
+        while let Some((other, pose)) = self.connected(&mut pairs)? {
             let (low, high) = (self.current.min(other), self.current.max(other));
-            let goes_on = self.current == high;
-            let pose = if goes_on { inverse(&pose) } else { pose };
+            let is_followed = self.current == high;
+            let pose = if is_followed { inverse(&pose) } else { pose };
             let joined = self.groups.remove(high);
-            self.groups[low].join(joined, &pose, goes_on, &self.options)?;
+            self.groups[low].join(joined, &pose, is_followed, &self.options)?;
             self.current = low;
         }
         self.groups[self.current].compared();
         Ok(())
     }
 
-    /// A group that the one which is followed meets, and its frame of reference in that of the one which is followed.
-    fn met(&mut self, pairs: &mut usize) -> Result<Option<(usize, PoseEstimate)>> {
+    /// A group that is connected to the followed one, with the pose of its frame of reference in that of the followed group.
+    fn connected(&mut self, pairs: &mut usize) -> Result<Option<(usize, PoseEstimate)>> {
         let own = &self.groups[self.current];
         let others = std::iter::once(0).chain((1..self.groups.len()).rev()).filter(|other| *other != self.current);
         for other in others {
@@ -137,40 +137,40 @@ impl Follower {
         Ok(None)
     }
 
-    /// Compares the groups once more with all frames.
+    /// Compares the groups again, with a model of all frames.
     ///
     /// # Errors
     /// Those of [`Self::add`].
     pub fn finish(&mut self) -> Result<()> {
         if self.groups.len() > 1 {
-            self.groups[self.current].make(&self.options)?;
-            self.meet()?;
+            self.groups[self.current].build(&self.options)?;
+            self.merge()?;
         }
         Ok(())
     }
 
-    /// The frames of the first one's group, at the poses that were found.
+    /// The views of the first frame's group, at the estimated poses.
     pub fn into_views(mut self) -> Views {
         if self.groups.is_empty() { Views::default() } else { self.groups.swap_remove(0).views }
     }
 
-    /// Times of the frames of each other group, seconds. A group of one frame showed nothing that another frame shows.
+    /// Time stamps of the frames of each other group, seconds. A group of one frame has no surface in common with another frame.
     pub fn apart(&self) -> Vec<Vec<f64>> {
         let stamps = |group: &Group| group.views.all().iter().map(|view| view.stamp).collect();
         let others = self.groups.iter().skip(1).map(stamps);
         others.chain(self.empty.iter().map(|stamp| vec![*stamp])).collect()
     }
 
-    /// Standard deviations of the last pose against the first: x, y, z in metres, and three angles in radians.
+    /// Standard deviations of the last pose relative to the first: x, y, z in metres, and three angles in radians.
     pub fn drift(&self) -> [f64; 6] {
         self.groups.first().map_or([0.0; 6], |group| group.drift().sigmas())
     }
 }
 
-/// The other frame's pose in this one, for this frame's pose in the other.
+/// The inverse of a pose, with its covariance.
 fn inverse(pose: &PoseEstimate) -> PoseEstimate {
     let inverse = pose.world_from_robot.inverse();
-    let at_own_origin = pose.covariance.moved_by(-pose.world_from_robot.translation);
-    let rows = sandwich(&turn(inverse.rotation), at_own_origin.as_rows());
+    let at_origin = pose.covariance.moved_by(-pose.world_from_robot.translation);
+    let rows = sandwich(&turn(inverse.rotation), at_origin.as_rows());
     PoseEstimate::new(inverse, PoseCovariance::from_rows(rows))
 }

@@ -1,4 +1,4 @@
-//! Groups of frames whose poses are found on the way: each frame of a group was localized in the model of those before it.
+//! Groups of frames in one frame of reference: each frame was localized in the model of the frames before it.
 
 use crate::change::{Exploration, Known};
 use crate::observe::{View, Views};
@@ -15,30 +15,31 @@ use presight_model::measured::Frame;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 
-/// Views that the model is made from while the sensor moves on.
+/// Maximum number of views in an intermediate model.
 const KEY_VIEWS: usize = 40;
-/// The model is made again when there are this many more views, as a share.
+/// Growth of the number of views, as a share, after which the model is built again.
 const GROWTH: f64 = 0.12;
-/// Standard deviation of surfaces that few views show, metres.
+/// Standard deviation of surfaces in few views, metres.
 const MODEL_SIGMA: f64 = 0.005;
-/// Standard deviations of the pose at a start, metres and radians.
+/// Standard deviations of a start pose, metres and radians.
 const START_SIGMA: f64 = 0.01;
-/// A pose that is searched is at most about so far from where the search starts: metres, radians.
+/// Standard deviations of the prior of a search, metres and radians.
 const REACH: (f64, f64) = (0.5, 0.4);
-/// Share of its points that a frame must explain before other starts are tried, and that a frame of this place explains at least.
+/// Minimum explained share of a frame's points: below it a quick search is given up, and a full search tries more starts.
 const PROMISING: f64 = 0.5;
-/// Share of the pixels that can be compared with the model that must agree.
-const JOINED: f64 = 0.8;
+/// Minimum share of confirmed pixels among those that can be compared with the model.
+const CONFIRMED: f64 = 0.8;
 
 fn estimator(options: &ExploreOptions, estimates: EstimateOptions) -> Result<Estimator> {
     let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(options.threads.clone()))?;
     Ok(Estimator::new(predictor, estimates.with_model_sigma(MODEL_SIGMA)))
 }
 
-/// Finds single frames in models.
+/// Searches the poses of single frames in models.
 pub(crate) struct Searcher {
-    /// Without other starts: they take seconds where nothing is known.
+    /// A search without further starts, which would take seconds in unknown surroundings.
     quick: Estimator,
+    /// A search with further starts.
     full: Estimator,
 }
 
@@ -48,7 +49,7 @@ impl Searcher {
         Ok(Self { quick: estimator(options, estimates(0.0))?, full: estimator(options, estimates(PROMISING))? })
     }
 
-    /// The pose of the robot at a frame, about within reach of another pose.
+    /// The pose of the robot at a frame, with another pose as the prior; `None` if it is not found.
     fn find(&mut self, world: &World, frame: &Frame, near: Pose) -> Result<Option<PoseEstimate>> {
         let prior = PoseEstimate::of_sigmas(near, REACH.0, REACH.1);
         let first = self.quick.estimate(world, &[frame], &prior)?;
@@ -56,57 +57,59 @@ impl Searcher {
             return Ok(None);
         }
         let prior = PoseEstimate::of_sigmas(first.pose.world_from_robot, 0.5 * REACH.0, 0.5 * REACH.1);
-        Ok(sure(&self.full.estimate(world, &[frame], &prior)?))
+        Ok(accepted(&self.full.estimate(world, &[frame], &prior)?))
     }
 }
 
-/// True if a pose is known in the model as well as the pose of the first frame, so that its view may be added. A floor alone does not suffice.
-fn is_sure(pose: &PoseEstimate) -> bool {
+/// True if a pose is as precise as the pose of the first frame, so that its view may be added to the model. A view of a floor alone does not
+/// determine such a pose.
+fn is_precise(pose: &PoseEstimate) -> bool {
     (0..6).all(|i| pose.covariance.as_rows()[i][i] <= START_SIGMA * START_SIGMA)
 }
 
-/// The pose if a search found it: the frame shows known surfaces in most of its pixels, and little else where something is known.
-fn sure(estimate: &Estimate) -> Option<PoseEstimate> {
+/// The pose of an estimate if it is accepted: most pixels confirm the model, few of the comparable ones contradict it, and the pose is
+/// precise.
+fn accepted(estimate: &Estimate) -> Option<PoseEstimate> {
     let count = |verdict: Verdict| estimate.verdicts.iter().map(|v| v.counts()[verdict as usize]).sum::<usize>() as f64;
     let confirmed = count(Verdict::Confirmed);
     let compared = confirmed + count(Verdict::Nearer) + count(Verdict::Farther) + count(Verdict::NoReturn);
     let all = compared + count(Verdict::NotPredicted);
-    let is_found = confirmed > JOINED * compared && confirmed > 0.5 * all;
-    (is_found && estimate.is_determined() && is_sure(&estimate.pose)).then_some(estimate.pose)
+    let is_found = confirmed > CONFIRMED * compared && confirmed > 0.5 * all;
+    (is_found && estimate.is_determined() && is_precise(&estimate.pose)).then_some(estimate.pose)
 }
 
 fn robot_pose(view: &View) -> Pose {
     view.world_from_sensor * view.sensor().spec().mount.inverse()
 }
 
-/// The model of a group, with which it is followed.
+/// The model of a group, with the localizer that follows the group in it.
 struct Model {
     world: World,
     localizer: Localizer,
 }
 
-/// Frames in one frame of reference.
+/// A group of frames in one frame of reference.
 pub(crate) struct Group {
     known: Environment,
     kind: Known,
     pub views: Views,
-    /// Numbers of views from places half a reach apart.
+    /// Indices of views at least half a [`REACH`] apart.
     places: Vec<usize>,
     model: Option<Model>,
-    /// Number of views when the model was made, and of places.
-    made_of: (usize, usize),
-    /// Covariance of the surfaces added last, against the first frame, for a rotation about `centre`.
+    /// Numbers of the views in the model, and of the places that were compared.
+    used: (usize, usize),
+    /// Covariance of the surfaces that were added last, relative to the first frame, for rotations about `centre`.
     covariance: PoseCovariance<InWorld>,
-    /// Where the robot was when these surfaces were added.
+    /// Position of the robot when these surfaces were added, metres.
     centre: DVec3,
-    /// Covariance of the last pose, against these surfaces.
+    /// Covariance of the last pose, relative to these surfaces.
     last: PoseCovariance<InWorld>,
-    /// The last pose of the robot that was found.
+    /// Pose of the robot at the last added frame.
     found: Pose,
 }
 
 impl Group {
-    /// Starts with a frame at this pose of the robot.
+    /// A group of one frame at the given pose of the robot.
     pub fn new(
         frame: &Frame,
         world_from_robot: Pose,
@@ -119,14 +122,14 @@ impl Group {
             views: Views::default(),
             places: Vec::new(),
             model: None,
-            made_of: (0, 0),
+            used: (0, 0),
             covariance: PoseCovariance::ZERO,
             centre: world_from_robot.translation,
             last: PoseCovariance::ZERO,
             found: world_from_robot,
         };
         group.push(frame, &PoseEstimate::exact(world_from_robot))?;
-        group.make(options)?;
+        group.build(options)?;
         Ok(group)
     }
 
@@ -149,21 +152,21 @@ impl Group {
         }
     }
 
-    /// Localizes a frame after the one before, or near the last pose that was found, and adds it. `None` if it shows nothing known.
+    /// Adds the next frame, after tracking it or searching near the last pose. `None` if the frame does not show the model.
     pub fn add(&mut self, frame: &Frame, by: &mut Searcher, options: &ExploreOptions) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, localizer }) = &mut self.model else { return Ok(None) };
         let step = localizer.step(world, frame)?;
-        // Nothing is known of the motion before the second frame, so that it must hold its pose by itself.
-        let is_held = self.views.all().len() > 1 || step.estimate.weak.is_empty();
+        // The motion is unknown before the second frame, so the measurement alone must determine all directions.
+        let is_constrained = self.views.all().len() > 1 || step.estimate.weak.is_empty();
         let is_followed = matches!(step.phase, Phase::Tracking | Phase::Candidates) && step.estimate.is_determined();
-        if is_held && is_followed && is_sure(&step.pose) {
+        if is_constrained && is_followed && is_precise(&step.pose) {
             self.push(frame, &step.pose)?;
             return Ok(Some(step.pose));
         }
         self.add_again(frame, by, options)
     }
 
-    /// Localizes a frame near the last pose that was found, and adds it. `None` if it shows nothing known.
+    /// Adds a frame after searching near the last pose. `None` if the frame does not show the model.
     pub fn add_again(
         &mut self,
         frame: &Frame,
@@ -172,53 +175,53 @@ impl Group {
     ) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, localizer }) = &mut self.model else { return Ok(None) };
         let Some(pose) = by.find(world, frame, self.found)? else { return Ok(None) };
-        *localizer = followed(world, frame, pose.world_from_robot, options)?;
+        *localizer = started(world, frame, pose.world_from_robot, options)?;
         self.push(frame, &pose)?;
         Ok(Some(pose))
     }
 
-    /// The model is made again if there are many more views than before. Returns true then.
+    /// Builds the model again if the number of views grew enough. Returns true if it did.
     pub fn grow(&mut self, options: &ExploreOptions) -> Result<bool> {
-        let (more, before) = (self.views.all().len() - self.made_of.0, self.made_of.0);
+        let (more, before) = (self.views.all().len() - self.used.0, self.used.0);
         let is_due = more as f64 >= (GROWTH * before as f64).max(2.0);
         if is_due {
-            // Surfaces added now are as far off as this pose: errors of one model pass into the next.
+            // The new surfaces share the error of this pose, so errors accumulate from model to model.
             (self.covariance, self.centre) = (self.drift(), self.found.translation);
-            self.make(options)?;
+            self.build(options)?;
         }
         Ok(is_due)
     }
 
-    /// Makes the model of some of the views, the last one among them.
-    pub fn make(&mut self, options: &ExploreOptions) -> Result<()> {
+    /// Builds the model from some of the views, including the last one.
+    pub fn build(&mut self, options: &ExploreOptions) -> Result<()> {
         let found = Exploration::of(&self.known, self.kind, &self.views.some(KEY_VIEWS), options)?;
         let world = World::new(found.environment().clone());
         let localizer = match (self.model.take(), self.views.all().last()) {
             (Some(model), _) => model.localizer,
-            (None, Some(last)) => followed(&world, &last.frame()?, self.found, options)?,
+            (None, Some(last)) => started(&world, &last.frame()?, self.found, options)?,
             (None, None) => return Ok(()),
         };
         self.model = Some(Model { world, localizer });
-        self.made_of.0 = self.views.all().len();
+        self.used.0 = self.views.all().len();
         Ok(())
     }
 
-    /// Forgets the model: a group that is not followed needs its views alone.
+    /// Drops the model, which a group needs only while it is followed.
     pub fn rest(&mut self) {
         self.model = None;
     }
 
-    /// Covariance of the last pose against the first.
+    /// Covariance of the last pose relative to the first.
     pub fn drift(&self) -> PoseCovariance<InWorld> {
         sum(&self.covariance.moved_by(self.found.translation - self.centre), &self.last)
     }
 
-    /// The pose of another group's frame of reference in this one, with the covariance of its origin, from a frame of the other that shows
-    /// this model. Frames of the other are tried at the places that came in since the last comparison, the newest first, while `pairs` are
-    /// left.
+    /// The pose of another group's frame of reference in this one, from a frame of the other group that shows this model. The covariance
+    /// is that of the other frame's origin. Frames of the other group are tried at the places since the last comparison, the newest
+    /// first, until no `pairs` are left.
     pub fn pose_of(&self, other: &Self, by: &mut Searcher, pairs: &mut usize) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, .. }) = &self.model else { return Ok(None) };
-        for own in self.places[self.made_of.1..].iter().rev() {
+        for own in self.places[self.used.1..].iter().rev() {
             for place in other.places.iter().rev().take(*pairs) {
                 *pairs -= 1;
                 let view = &other.views.all()[*place];
@@ -233,24 +236,33 @@ impl Group {
         Ok(None)
     }
 
-    /// Places that were compared with all other groups need no other comparison.
+    /// Records that all places were compared with all other groups.
     pub fn compared(&mut self) {
-        self.made_of.1 = self.places.len();
+        self.used.1 = self.places.len();
     }
 
-    /// Takes in another group, at this pose of its frame of reference. `goes_on` says that the other is followed.
-    pub fn join(&mut self, other: Self, pose: &PoseEstimate, goes_on: bool, options: &ExploreOptions) -> Result<()> {
+    /// Takes in another group with the pose of its frame of reference. `is_followed` is true if the other group is the followed one.
+    pub fn join(
+        &mut self,
+        other: Self,
+        pose: &PoseEstimate,
+        is_followed: bool,
+        options: &ExploreOptions,
+    ) -> Result<()> {
         let moved = pose.world_from_robot;
-        let centre = if goes_on { moved.transform_point(other.centre) } else { self.centre };
-        let met = pose.covariance.moved_by(centre - moved.translation);
-        self.covariance = sum(&self.covariance.moved_by(centre - self.centre), &met);
+        let centre = if is_followed { moved.transform_point(other.centre) } else { self.centre };
+        let connection = pose.covariance.moved_by(centre - moved.translation);
+        self.covariance = sum(&self.covariance.moved_by(centre - self.centre), &connection);
         self.centre = centre;
         let others = other.views.moved(&moved);
-        // The followed group has the last view.
-        let (first, second) =
-            if goes_on { (std::mem::take(&mut self.views), others) } else { (others, std::mem::take(&mut self.views)) };
+        // The last view comes from the followed group.
+        let (first, second) = if is_followed {
+            (std::mem::take(&mut self.views), others)
+        } else {
+            (others, std::mem::take(&mut self.views))
+        };
         self.views = first.with(second);
-        if goes_on {
+        if is_followed {
             let turned =
                 |c: &PoseCovariance<InWorld>| PoseCovariance::from_rows(sandwich(&turn(moved.rotation), c.as_rows()));
             self.covariance = sum(&self.covariance, &turned(&other.covariance));
@@ -259,20 +271,20 @@ impl Group {
         }
         self.places.clear();
         (0..self.views.all().len()).for_each(|number| self.add_place(number));
-        self.made_of.1 = 0;
-        self.make(options)
+        self.used.1 = 0;
+        self.build(options)
     }
 }
 
-/// Covariance of a pose with two independent errors.
+/// The covariance of the sum of two independent errors.
 fn sum(a: &PoseCovariance<InWorld>, b: &PoseCovariance<InWorld>) -> PoseCovariance<InWorld> {
     let mut rows = *a.as_rows();
     add_to(&mut rows, b.as_rows());
     PoseCovariance::from_rows(rows)
 }
 
-/// A localizer that has seen this frame at this pose. It knows then when that was, and that the robot moves until the next frame.
-fn followed(world: &World, frame: &Frame, world_from_robot: Pose, options: &ExploreOptions) -> Result<Localizer> {
+/// A localizer after its first frame, at the given pose. It has a time stamp from then on, and predicts the motion until the next frame.
+fn started(world: &World, frame: &Frame, world_from_robot: Pose, options: &ExploreOptions) -> Result<Localizer> {
     let start = PoseEstimate::of_sigmas(world_from_robot, START_SIGMA, START_SIGMA);
     let estimator = estimator(options, EstimateOptions::default())?;
     let mut localizer = Localizer::new(estimator, start, LocalizeOptions::default());

@@ -1,4 +1,4 @@
-//! Exploration of frames without poses.
+//! Exploration without poses.
 
 mod follow;
 mod group;

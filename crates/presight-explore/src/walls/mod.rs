@@ -1,4 +1,4 @@
-//! Walls from planar scans.
+//! Walls from planar scans, seen from above.
 
 mod scan;
 mod segment;

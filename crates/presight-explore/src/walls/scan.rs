@@ -1,4 +1,4 @@
-//! Planar scans and walls, seen from above.
+//! Scans and walls in two dimensions.
 
 use crate::observe::View;
 use glam::DVec2;
@@ -7,9 +7,9 @@ use glam::DVec2;
 #[derive(Clone, Debug)]
 pub(crate) struct Scan {
     pub origin: DVec2,
-    /// Unit directions.
-    pub ways: Vec<DVec2>,
-    /// Metres; not finite without a hit.
+    /// Unit directions of the beams.
+    pub directions: Vec<DVec2>,
+    /// Ranges, metres; not finite without a return.
     pub ranges: Vec<f64>,
 }
 
@@ -23,14 +23,14 @@ impl Scan {
         };
         Self {
             origin: view.origin().truncate() + base,
-            ways: pixels.clone().map(|p| ray(p).normalize_or(DVec2::X)).collect(),
+            directions: pixels.clone().map(|p| ray(p).normalize_or(DVec2::X)).collect(),
             ranges: pixels.map(range).collect(),
         }
     }
 
-    /// Where a beam ended.
+    /// The end of a beam.
     pub fn point(&self, beam: usize) -> DVec2 {
-        self.origin + self.ways[beam] * self.ranges[beam]
+        self.origin + self.directions[beam] * self.ranges[beam]
     }
 }
 
@@ -42,17 +42,18 @@ pub(crate) struct Wall {
 }
 
 impl Wall {
-    pub fn way(&self) -> DVec2 {
+    /// From the first end to the second.
+    pub fn along(&self) -> DVec2 {
         self.ends[1] - self.ends[0]
     }
 
-    /// Distance along a ray to the wall, and the share of the wall's length there.
+    /// The distance along a ray to the wall, metres, and the share of the wall's length up to the intersection.
     #[inline]
-    pub fn met(&self, ray: &Ray) -> Option<(f64, f64)> {
-        let (way, to) = (self.way(), self.ends[0] - ray.origin);
-        let across = ray.way.perp_dot(way);
-        let distance = to.perp_dot(way) / across;
-        let share = to.perp_dot(ray.way) / across;
+    pub fn intersection(&self, ray: &Ray) -> Option<(f64, f64)> {
+        let (along, to) = (self.along(), self.ends[0] - ray.origin);
+        let across = ray.direction.perp_dot(along);
+        let distance = to.perp_dot(along) / across;
+        let share = to.perp_dot(ray.direction) / across;
         (distance > 0.02 && (0.0..=1.0).contains(&share)).then_some((distance, share))
     }
 }
@@ -61,6 +62,6 @@ impl Wall {
 #[derive(Clone, Copy)]
 pub(crate) struct Ray {
     pub origin: DVec2,
-    pub way: DVec2,
+    pub direction: DVec2,
     pub range: f64,
 }

@@ -1,21 +1,21 @@
-//! Segments in planar scans: split where they bend, and merged over the scans.
+//! Segments of scans, split at bends and merged over all scans.
 
 use super::scan::{Scan, Wall};
 use glam::{DMat2, DVec2};
 
-/// Points of a segment lie within this of its chord, metres.
+/// Maximum distance of a segment's points from its chord, metres.
 const BEND: f64 = 0.06;
-/// Shorter segments are dropped, metres.
+/// Minimum length of a segment, metres.
 const SHORT: f64 = 0.25;
-/// Points that a segment must have.
+/// Minimum number of steps between the points of a segment.
 const POINTS: usize = 4;
-/// Farther points are too far apart, metres.
+/// Range beyond which points are too far apart, metres.
 const FAR: f64 = 25.0;
-/// Segments of one wall lie within this of its line, metres.
+/// Maximum distance of a wall's segments from its line, metres.
 const OFF: f64 = 0.06;
-/// Segments of one wall have gaps up to this, metres.
+/// Maximum gap between segments of one wall, metres.
 const GAP: f64 = 0.2;
-/// Least cosine between the normals of segments of one wall: 4 degrees.
+/// Minimum cosine between the normals of segments of one wall: 4 degrees.
 const PARALLEL: f64 = 0.9976;
 
 struct Segment {
@@ -23,11 +23,11 @@ struct Segment {
     points: Vec<DVec2>,
 }
 
-/// A line with a stretch on it.
+/// A stretch of a line.
 #[derive(Clone, Copy)]
 struct Line {
     middle: DVec2,
-    way: DVec2,
+    direction: DVec2,
     /// Towards the sensor.
     normal: DVec2,
     from: f64,
@@ -35,7 +35,7 @@ struct Line {
 }
 
 impl Line {
-    /// The best line through points, by least squares, towards a side.
+    /// The least-squares line through points, with its normal towards a side.
     fn of(points: &[DVec2], towards: DVec2) -> Self {
         let middle = points.iter().sum::<DVec2>() / points.len() as f64;
         let outer = |p: &DVec2| {
@@ -44,13 +44,14 @@ impl Line {
         };
         let m = points.iter().map(outer).fold(DMat2::ZERO, |a, b| a + b);
         let angle = 0.5 * (2.0 * m.x_axis.y).atan2(m.x_axis.x - m.y_axis.y);
-        let way = DVec2::from_angle(angle);
-        let normal = if way.perp().dot(towards) > 0.0 { way.perp() } else { -way.perp() };
-        let mut along: Vec<f64> = points.iter().map(|p| (*p - middle).dot(way)).collect();
+        let direction = DVec2::from_angle(angle);
+        let perpendicular = direction.perp();
+        let normal = if perpendicular.dot(towards) > 0.0 { perpendicular } else { -perpendicular };
+        let mut along: Vec<f64> = points.iter().map(|p| (*p - middle).dot(direction)).collect();
         along.sort_by(f64::total_cmp);
-        // A few points may lie beyond the end.
+        // Two in a thousand points may lie beyond each end.
         let at = |share: f64| along[(share * (along.len() - 1) as f64).round() as usize];
-        Self { middle, way, normal, from: at(0.002), to: at(0.998) }
+        Self { middle, direction, normal, from: at(0.002), to: at(0.998) }
     }
 
     fn length(&self) -> f64 {
@@ -58,11 +59,11 @@ impl Line {
     }
 
     fn ends(&self) -> [DVec2; 2] {
-        [self.middle + self.way * self.from, self.middle + self.way * self.to]
+        [self.middle + self.direction * self.from, self.middle + self.direction * self.to]
     }
 }
 
-/// The walls that the scans show: segments of each scan, merged.
+/// The walls of all scans: their segments, merged.
 pub(crate) fn walls(scans: &[Scan]) -> Vec<Wall> {
     let mut segments: Vec<Segment> = scans.iter().flat_map(segments).collect();
     segments.sort_by(|a, b| b.line.length().total_cmp(&a.line.length()));
@@ -81,7 +82,7 @@ pub(crate) fn walls(scans: &[Scan]) -> Vec<Wall> {
 
 fn belongs(wall: &Line, other: &Line) -> bool {
     let off = other.ends().map(|p| p - wall.middle);
-    let along = off.map(|p| p.dot(wall.way));
+    let along = off.map(|p| p.dot(wall.direction));
     wall.normal.dot(other.normal) > PARALLEL
         && off.iter().all(|p| p.dot(wall.normal).abs() < OFF)
         && along[0].max(along[1]) > wall.from - GAP
@@ -104,14 +105,14 @@ fn segments(scan: &Scan) -> Vec<Segment> {
     found
 }
 
-/// True if a beam and the next one end on one surface, as far as their distance shows.
+/// True if the ends of a beam and the next one are close enough to lie on one surface.
 fn is_joined(scan: &Scan, beam: usize) -> bool {
     let Some(next) = scan.ranges.get(beam + 1) else { return false };
     let range = scan.ranges[beam];
     range.is_finite() && next.is_finite() && scan.point(beam + 1).distance(scan.point(beam)) < (0.035 * range).max(0.15)
 }
 
-/// Splits a run of beams at the point farthest from its chord, until all are near (Ramer, Douglas and Peucker).
+/// Splits a run of beams at the point farthest from its chord, until all points are near (Ramer, Douglas and Peucker).
 fn split(scan: &Scan, start: usize, end: usize, found: &mut Vec<Segment>) {
     let mut parts = vec![(start, end)];
     while let Some((a, b)) = parts.pop() {

@@ -2,7 +2,7 @@
 
 use super::rooms::{ahead, blocked, explore, sensor, views_of, windowed};
 use glam::Vec3;
-use presight_explore::{Exploration, ExploreOptions, Known, MOST_MARKS, Views};
+use presight_explore::{Exploration, ExploreOptions, Known, MAX_MARKS, Views};
 use presight_model::environment::{Appearance, Environment, Mark, MarkKind, Material, NewObject};
 use presight_model::error::ErrorKind;
 use presight_model::geometry::{Aabb, Pose};
@@ -85,13 +85,13 @@ fn a_store_has_at_most_ten_thousand_marks_of_unseen_places() {
     let mut known = presight_testkit::scenes::empty();
     let far = presight_testkit::scenes::cuboid(Vec3::new(50.0, 0.0, 0.0), Vec3::new(51.0, 1.0, 1.0));
     known.insert(NewObject::new("far", Pose::IDENTITY, far.into())).unwrap();
-    for k in 0..MOST_MARKS - 7 {
+    for k in 0..MAX_MARKS - 7 {
         let bounds = Aabb { min: glam::DVec3::splat(50.0), max: glam::DVec3::splat(51.0) };
         let mark = Mark { object: "far".into(), kind: MarkKind::Unseen, class: None, bounds: Some(bounds) };
         known.set_mark(&format!("unseen/far/{k}"), mark).unwrap();
     }
     let found = explore(&known, Known::Explored, &views);
-    assert_eq!(marks(found.environment()), MOST_MARKS);
+    assert_eq!(marks(found.environment()), MAX_MARKS);
     // The largest are kept.
     let size = |mark: &Mark| mark.bounds.unwrap().size().to_bits();
     let all: Vec<u64> = first.environment().marks().map(|(_, mark)| size(mark)).collect();

@@ -107,7 +107,7 @@ impl Pose {
         Self { rotation, translation: transform.translation }
     }
 
-    /// The transform the other way.
+    /// The inverse transform.
     #[must_use]
     #[inline]
     pub fn inverse(&self) -> Self {
@@ -127,7 +127,7 @@ impl Pose {
         DMat3::from_quat(self.rotation)
     }
 
-    /// The same transform as a 3 x 4 matrix.
+    /// This transform as a 3 x 4 matrix.
     #[inline]
     pub fn to_affine(&self) -> DAffine3 {
         DAffine3::from_rotation_translation(self.rotation, self.translation)
@@ -138,7 +138,7 @@ impl Pose {
         let m = self.rotation_matrix();
         let pitch = (-m.x_axis.z).clamp(-1.0, 1.0).asin();
         if m.x_axis.x.hypot(m.x_axis.y) < 1e-12 {
-            // Gimbal lock: only the difference or sum of roll and yaw is known. Put it all into yaw.
+            // Gimbal lock: only the difference or sum of roll and yaw is defined. Yaw takes all of it.
             return (0.0, pitch, (-m.y_axis.x).atan2(m.y_axis.y));
         }
         (m.y_axis.z.atan2(m.z_axis.z), pitch, m.x_axis.y.atan2(m.x_axis.x))

@@ -52,7 +52,7 @@ impl LogFrame {
     ///
     /// # Errors
     /// As [`presight_model::measured::Frame::new`].
-    pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::measured::Frame> {
+    pub fn into_frame(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::measured::Frame> {
         let mut frame =
             presight_model::measured::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
         if let Some(values) = self.intensities {

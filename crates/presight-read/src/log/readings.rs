@@ -112,7 +112,7 @@ impl Readings {
         }
         let sensor = frame.sensor();
         self.limits = (sensor.spec().range_min, sensor.spec().range_max);
-        let sensed = frame.sensed().values();
+        let sensed = frame.measurement().values();
         self.all += sensed.len() as u64;
         for (i, (value, range)) in sensed.iter().zip(frame.ranges()).enumerate() {
             let pixel = i as u32;

@@ -96,7 +96,7 @@ fn intensities_are_read_beside_ranges() {
     let told = read[0].intensities.as_ref().unwrap();
     assert!(told[..2] == [0.25, 1.0] && told[2].is_nan() && read[1].intensities.is_none());
     let sensor = Sensor::new(scanner(3)).unwrap();
-    let sensed: Vec<_> = read.into_iter().map(|f| f.sensed(&sensor, &OdometryNoise::default()).unwrap()).collect();
+    let sensed: Vec<_> = read.into_iter().map(|f| f.into_frame(&sensor, &OdometryNoise::default()).unwrap()).collect();
     let image = sensed[0].intensities().unwrap();
     assert_eq!((image.width(), image.height(), image.values()[1]), (3, 1, 1.0));
     assert!(sensed[1].intensities().is_none());

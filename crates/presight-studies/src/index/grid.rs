@@ -143,7 +143,7 @@ impl Cells for GridCells {
         // Square cells. Things on a line have no area, so their length decides.
         let by_area = (extent[0] * extent[1] / cells).sqrt();
         let by_length = extent[0].max(extent[1]) / (CELLS_PER_ID * count + 64) as f64;
-        self.side = (by_area.max(by_length).max(params.least_cell).max(1e-6)) as f32;
+        self.side = (by_area.max(by_length).max(params.min_cell).max(1e-6)) as f32;
         self.corner = [reach.min[0], reach.min[1]];
         self.size = extent.map(|e| (e / f64::from(self.side)) as usize + 1);
         self.cells = vec![Vec::new(); self.size[0] * self.size[1]];
