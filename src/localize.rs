@@ -117,7 +117,10 @@ pub use presight_localize::estimate::{
 #[doc(inline)]
 pub use presight_localize::extract::{FeatureClass, FeatureFinding, FeatureFindings, is_sought};
 #[doc(inline)]
-pub use presight_localize::history::{AlternatingTracker, ImageExtent, Seed, Source, Tracker, TrackerOptions};
+pub use presight_localize::history::{
+    AlternatingTracker, FrameWindows, Health, ImageExtent, MatchOutcome, PointProjection, PredictionTrigger, Seed,
+    SeedOutcome, Source, Track, Tracker, TrackerOptions, Window,
+};
 #[doc(inline)]
 pub use presight_localize::localize::{
     Candidate, ErrorRates, LocalizeOptions, Localizer, MotionNoise, Phase, Search, SearchOptions, Step,
