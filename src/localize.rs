@@ -118,8 +118,8 @@ pub use presight_localize::estimate::{
 pub use presight_localize::extract::{FeatureClass, FeatureFinding, FeatureFindings, is_sought};
 #[doc(inline)]
 pub use presight_localize::history::{
-    AlternatingTracker, FrameWindows, Health, ImageExtent, MatchOutcome, PointProjection, PredictionTrigger, Seed,
-    SeedOutcome, Source, Track, Tracker, TrackerOptions, Window,
+    AlternatingTracker, End, FrameWindows, Health, ImageExtent, Match, MatchOutcome, PointProjection,
+    PredictionTrigger, Seed, SeedOutcome, Source, Track, Tracker, TrackerOptions, Window,
 };
 #[doc(inline)]
 pub use presight_localize::localize::{
@@ -127,5 +127,5 @@ pub use presight_localize::localize::{
 };
 #[doc(inline)]
 pub use presight_localize::matching::{
-    Detection, DetectionProperties, ExpectedProperties, Marker, PropertyNoise, Shape, UncertainValue,
+    Detection, DetectionProperties, ExpectedProperties, Marker, PropertyNoise, Rejection, Shape, UncertainValue,
 };
