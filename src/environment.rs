@@ -12,4 +12,4 @@ pub use presight_model::environment::{
 #[doc(inline)]
 pub use presight_model::geometry::Aabb;
 #[doc(inline)]
-pub use presight_model::index::{IndexKind, Params as IndexParams, SplitAxis};
+pub use presight_model::index::IndexKind;

@@ -117,12 +117,15 @@ pub use presight_localize::estimate::{
 #[doc(inline)]
 pub use presight_localize::extract::{FeatureClass, FeatureFinding, FeatureFindings, is_sought};
 #[doc(inline)]
-pub use presight_localize::history::{AlternatingTracker, ImageExtent, Seed, Source, Tracker, TrackerOptions};
+pub use presight_localize::history::{
+    AlternatingTracker, End, FrameWindows, Health, ImageExtent, Match, MatchOutcome, PointProjection,
+    PredictionTrigger, Seed, SeedOutcome, Source, Track, Tracker, TrackerOptions, Window,
+};
 #[doc(inline)]
 pub use presight_localize::localize::{
     Candidate, ErrorRates, LocalizeOptions, Localizer, MotionNoise, Phase, Search, SearchOptions, Step,
 };
 #[doc(inline)]
 pub use presight_localize::matching::{
-    Detection, DetectionProperties, ExpectedProperties, Marker, PropertyNoise, Shape, UncertainValue,
+    Detection, DetectionProperties, ExpectedProperties, Marker, PropertyNoise, Rejection, Shape, UncertainValue,
 };

@@ -32,8 +32,6 @@ pub use presight_render::deadline::{
     DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Priority, Wave,
 };
 #[doc(inline)]
-pub use presight_render::plan::{
-    CountName, Omission, Part, Samples, SamplesMut, StageName, StageRow, StageVariant, Work,
-};
+pub use presight_render::plan::{Samples, SamplesMut, StageRow};
 #[doc(inline)]
 pub use presight_render::points::{PointCloud, PointsFrame};

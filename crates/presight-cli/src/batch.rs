@@ -365,9 +365,8 @@ fn read_sensed(frame_name: &str, sensor: &Sensor, cell: PoseCell) -> Result<Rang
         }
     };
     let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(range)).map_err(|e| e.in_file(&path))?;
-    let mut readings = files::Readings::new("null or NaN");
-    readings.add(&frame);
-    print::notices(&readings.notice().map(|notice| format!("{frame_name}: {notice}")));
+    let notice = files::notice_of_readings(&frame);
+    print::notices(&notice.map(|notice| format!("{frame_name}: {notice}")));
     RangeLikelihood::new(&frame, cell).map_err(|e| e.in_file(&path))
 }
 

@@ -42,7 +42,6 @@ mod sensors;
 mod series;
 mod signals;
 mod simulate;
-mod statistics;
 pub mod summary;
 mod supervise;
 mod templates;

@@ -2,13 +2,13 @@
 
 use super::files::{Shown, attributes, write_files};
 use super::{Args, Job};
-use crate::statistics::{Statistics, Subject};
 use crate::summary::{Summary, objects_in};
 use crate::templates::Names;
-use crate::{CommandOutcome, print};
+use crate::{CommandOutcome, flags, print};
 use presight::files;
 use presight::tools;
 use presight::{Output, Predictor, Result, Stats};
+use presight_studies::statistics::{Statistics, Subject};
 use std::time::Instant;
 
 /// Predicts at one pose, and writes the files.
@@ -56,6 +56,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         size: (sensor.width(), sensor.height()),
         outputs: request.outputs.iter().map(Output::name).collect(),
     };
+    runs.iter_mut().flat_map(|run| &mut run.notices).for_each(|notice| *notice = flags::named(notice));
     let statistics = Statistics::of(subject, &times_ms, &runs);
     let shown = Shown::of(args, &scene, &mut predictor, &prediction, (layers.as_ref(), &settings))?;
     job.files.check_scene(&scene.files)?;

@@ -85,7 +85,14 @@ fn word_length(text: &str) -> usize {
     1 + text.bytes().skip(1).take_while(u8::is_ascii_alphabetic).count()
 }
 
-/// How many readings of a log were taken as what.
+/// The notice on the readings of one frame that stand for no range; `None` if all are ranges.
+pub fn notice_of_readings(frame: &Frame) -> Option<String> {
+    let mut readings = Readings::new("null or NaN");
+    readings.add(frame);
+    readings.notice()
+}
+
+/// Counts of a log's readings by their meaning.
 #[derive(Clone, Debug)]
 pub struct Readings {
     /// How the log writes that there is no reading.
