@@ -92,7 +92,6 @@
 //!     shape: Shape::Point(at(0.0)),
 //!     covariances: vec![DMat2::IDENTITY],
 //!     properties: ExpectedProperties::default(),
-//!     points_world: Vec::new(),
 //! };
 //! tracker.seed(0.0, vec![seed])?;
 //! let mut areas = Vec::new();
@@ -118,8 +117,7 @@ pub use presight_localize::estimate::{
 pub use presight_localize::extract::{FeatureClass, FeatureFinding, FeatureFindings, is_sought};
 #[doc(inline)]
 pub use presight_localize::history::{
-    AlternatingTracker, End, FrameWindows, Health, ImageExtent, Match, MatchOutcome, PointProjection,
-    PredictionTrigger, Seed, SeedOutcome, Source, Track, Tracker, TrackerOptions, Window,
+    End, ImageExtent, Match, MatchOutcome, Seed, Track, Tracker, TrackerOptions, Window,
 };
 #[doc(inline)]
 pub use presight_localize::localize::{

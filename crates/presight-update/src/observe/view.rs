@@ -25,8 +25,8 @@ const MAX_REACH: f64 = 1e5;
 /// The evidence of a pixel on the first object on its ray.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PixelEvidence {
-    /// The pixel has no reading.
-    Missing,
+    /// The pixel has no reading, or its ray went on near an edge of the object or almost parallel to its surface.
+    Unknown,
     /// The object is there. Without it the range would differ.
     Present,
     /// The ray passed through the object.
@@ -35,8 +35,6 @@ pub(crate) enum PixelEvidence {
     Covered,
     /// The range would be about the same without the object.
     Ambiguous,
-    /// The ray went on, but near an edge of the object or almost parallel to its surface.
-    Edge,
 }
 
 /// A frame compared with a world.
