@@ -305,7 +305,7 @@ impl Drive {
             }
             progress.set_message(match (step.phase, may_search || start_now.is_none()) {
                 (Phase::Lost | Phase::Unknown, false) if options.freedom == Freedom::Full => {
-                    "lost: looking for the robot around its last pose"
+                    "lost: searching around the last pose"
                 }
                 (phase, _) => phase.name(),
             });
