@@ -85,7 +85,8 @@ fn planted_faults_of_a_facade_are_found() {
 
     let below = "pub mod a { pub struct Shown { pub field: super::b::Other, hidden: Inner } struct Inner; }\n\
                  pub mod b { pub struct Other; pub enum Answer { Yes(Kind), #[doc(hidden)] No(Unseen) } \
-                 pub struct Unseen; pub struct Kind; impl Other { pub fn kind(&self) -> Option<Kind> { None } } pub type Shown = u8; }\n\
+                 pub struct Unseen; pub struct Kind; pub type Shown = u8; \
+                 impl Other { pub fn kind(&self) -> Option<Kind> { None } } }\n\
                  names! { pub enum Made { A } }";
     let found = |facade: &str, bounds| {
         let mut sources = Sources::default();
