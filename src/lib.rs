@@ -7,15 +7,15 @@
 //! # A tour
 //!
 //! ```
-//! use presight::features::FeatureOptions;
-//! use presight::features::BoxOptions;
+//! use presight::features::{BoxOptions, FeatureOptions};
 //! use presight::{Options, Pose, Predictor, Request, Scene};
 //! # use presight::features::{GenerateOptions, generate};
 //!
 //! let scene = Scene::open("scenes/room.glb")?;
 //! # let folder = tempfile::tempdir().unwrap();
 //! # let layer = folder.path().join("room.video.layer.json");
-//! # presight::files::write_layer(&layer, &generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer)?;
+//! # let made = generate(scene.world.environment(), "video", &GenerateOptions::default())?;
+//! # presight::files::write_layer(&layer, &made.layer)?;
 //! let features = scene.place_layers(&[layer], "video")?; // written by `presight features`
 //! let camera = presight::preset("realsense-d435")?;
 //! let world_from_camera = Pose::from_xyz_rpy(glam::DVec3::new(0.3, 0.35, 1.65), 0.0, 0.2, 0.66);

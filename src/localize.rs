@@ -2,7 +2,7 @@
 //!
 //! A scanner at an unknown pose, in a room where no two places look alike:
 //! ```
-//! use presight::localize::{EstimateOptions, Estimator, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};
+//! use presight::localize::{EstimateOptions, Estimator, LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 //! use presight::simulate::{Disturbances, Simulator};
 //! use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 //! use presight::sensor::Noise;
@@ -21,7 +21,8 @@
 //! }
 //! let world = World::new(environment);
 //! let mut spec = presight::preset("laser-scanner")?.spec().clone();
-//! (spec.range_max, spec.mount.translation.z, spec.noise) = (10.0, 1.0, Noise { range_sigma: 0.02, ..Noise::default() });
+//! (spec.range_max, spec.mount.translation.z) = (10.0, 1.0);
+//! spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
 //! let scanner = Sensor::new(spec)?;
 //!
 //! let mut estimator = Estimator::new(Predictor::new(Options::default())?, EstimateOptions::planar());
@@ -125,5 +126,6 @@ pub use presight_localize::localize::{
 };
 #[doc(inline)]
 pub use presight_localize::matching::{
-    Detection, DetectionProperties, ExpectedProperties, Marker, PropertyNoise, Rejection, Shape, UncertainValue,
+    Detection, DetectionProperties, ExpectedProperties, Marker, Matcher, PropertyNoise, Rejection, Shape,
+    UncertainValue,
 };

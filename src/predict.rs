@@ -29,7 +29,7 @@ pub use presight_predict::free_poses::free_poses;
 pub use presight_render::cost::CostModel;
 #[doc(inline)]
 pub use presight_render::deadline::{
-    DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Priority, Wave,
+    DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Priority,
 };
 #[doc(inline)]
 pub use presight_render::plan::{Samples, SamplesMut, StageRow};

@@ -406,8 +406,8 @@ fn check_unframed(options: &ImportOptions, why: &str) -> Result<()> {
 fn mesh_file(path: &Path) -> Error {
     let (from, to) = (path.display(), path.with_extension("glb"));
     let remedy = format!(
-        "convert it: python3 -c \"import trimesh; trimesh.load('{from}', force='scene').export('{}')\" (pip install trimesh), \
-         then give `ImportOptions::up` z if it is z-up",
+        "convert it: python3 -c \"import trimesh; trimesh.load('{from}', force='scene').export('{}')\" \
+         (pip install trimesh), then give `ImportOptions::up` z if it is z-up",
         to.display()
     );
     Error::new(ErrorKind::Unsupported, "presight reads scenes from glTF, scripts and stores", remedy)

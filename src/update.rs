@@ -6,5 +6,5 @@
 pub use presight_update::{
     Action, Applied, BestView, DoubtfulObject, Evidence, Finding, FindingKind, Findings, LearnOptions, Learner,
     Library, LibraryShape, PendingChanges, PlannedView, Policy, ProgramRecognizer, Proposal, Recognized, Recognizer,
-    RefinedPose, Tally, UprightBox,
+    Tally, UprightBox,
 };

@@ -6,7 +6,7 @@ use super::names::{Name, Sources};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The maximum numbers of modules, of types, and of names at the root.
-const FACADE: [usize; 3] = [16, 254, 63];
+const FACADE: [usize; 3] = [16, 237, 48];
 
 /// Crates that programs around presight may name besides the facade: pictures and studies, and what they run.
 const BESIDE: [&str; 4] = ["presight_pictures", "presight_studies", "presight_editor", "presight_cli"];
@@ -84,8 +84,9 @@ fn planted_faults_of_a_facade_are_found() {
     assert_eq!(named, ["presight_model".to_owned(), "presight_store".to_owned()].into());
 
     let below = "pub mod a { pub struct Shown { pub field: super::b::Other, hidden: Inner } struct Inner; }\n\
-                 pub mod b { pub struct Other; pub enum Answer { Yes(Kind), #[doc(hidden)] No(Unseen) } pub struct Unseen; \
-                 pub struct Kind; impl Other { pub fn kind(&self) -> Option<Kind> { None } } pub type Shown = u8; }\n\
+                 pub mod b { pub struct Other; pub enum Answer { Yes(Kind), #[doc(hidden)] No(Unseen) } \
+                 pub struct Unseen; pub struct Kind; pub type Shown = u8; \
+                 impl Other { pub fn kind(&self) -> Option<Kind> { None } } }\n\
                  names! { pub enum Made { A } }";
     let found = |facade: &str, bounds| {
         let mut sources = Sources::default();

@@ -14,8 +14,9 @@ pub type Name = Vec<String>;
 #[derive(Default)]
 struct Module {
     items: BTreeMap<String, Item>,
-    /// Names of types that a macro defines.
-    by_macro: BTreeSet<String>,
+    /// Names of types that a macro defines, each with the capitalized words of its call, among which are the types that
+    /// it shows.
+    by_macro: BTreeMap<String, BTreeSet<String>>,
     /// Imported names, each with its path as written, and whether others may use it from here.
     uses: BTreeMap<String, (Name, bool)>,
     globs: Vec<Name>,
@@ -127,9 +128,12 @@ impl Sources {
 
     /// Adds the types that the text in a macro's call may define: a name before a brace.
     fn add_macro(&mut self, module: &Name, text: &str) {
-        let before = text.split('{').filter_map(|part| part.split_whitespace().last());
+        // Without string literals, which hold the docs.
+        let code: String = text.replace("\\\"", "").split('"').step_by(2).collect();
         let is_name = |word: &&str| word.starts_with(char::is_uppercase) && word.chars().all(char::is_alphanumeric);
-        let types = before.filter(is_name).map(str::to_owned);
+        let shown: BTreeSet<String> = super::architecture::words(&code).filter(is_name).map(str::to_owned).collect();
+        let before = code.split('{').filter_map(|part| part.split_whitespace().last()).filter(is_name);
+        let types: Vec<_> = before.map(|word| (word.to_owned(), shown.clone())).collect();
         self.at(module).by_macro.extend(types);
     }
 
@@ -162,7 +166,7 @@ impl Sources {
             "crate" => module[..1].to_vec(),
             "self" => module.to_vec(),
             "super" => module[..module.len() - 1].to_vec(),
-            _ if here.items.contains_key(first) || here.by_macro.contains(first) => below(module, first),
+            _ if here.items.contains_key(first) || here.by_macro.contains_key(first) => below(module, first),
             // A function may have the name of a module.
             _ if here.below.contains_key(first) && !(rest.is_empty() && here.uses.contains_key(first)) => {
                 below(module, first)
@@ -197,7 +201,7 @@ impl Sources {
     pub fn is_type(&self, name: &[String]) -> bool {
         let by_macro = || {
             let (last, module) = name.split_last()?;
-            Some(self.modules.get(module)?.by_macro.contains(last))
+            Some(self.modules.get(module)?.by_macro.contains_key(last))
         };
         match self.item(name) {
             Some(item) => matches!(item, Item::Struct(_) | Item::Enum(_) | Item::Trait(_) | Item::Type(_)),
@@ -260,7 +264,11 @@ impl Sources {
                     }
                 }
             }
-            _ => {}
+            Some(_) => {}
+            None => {
+                let by_macro = self.modules.get(module).and_then(|m| m.by_macro.get(last));
+                members.0.extend(by_macro.into_iter().flatten().map(|word| ("macro".to_owned(), vec![word.clone()])));
+            }
         }
         let mut shown: Vec<_> = members
             .0

@@ -64,7 +64,8 @@ pub struct Args {
     stride: u32,
 
     /// Maximum number of polygons that a run adds
-    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 2000)]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     polygons: u32,
 
     /// Size of the smallest pieces of surface that are distinguished, metres [default: what the noise of the ranges,
@@ -272,8 +273,8 @@ fn apart(groups: &[Vec<f64>]) -> Vec<String> {
     let group = |stamps: &Vec<f64>| {
         let (first, last) = stamps.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), t| (a.min(*t), b.max(*t)));
         format!(
-            "{} frames from {first} s to {last} s are a group of their own, which no frame joins with the first one's, and are left \
-             out: explore them into another store",
+            "{} frames from {first} s to {last} s are left out, because no frame connects them with the first frame: \
+             explore them into another store",
             stamps.len()
         )
     };

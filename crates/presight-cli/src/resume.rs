@@ -66,7 +66,8 @@ impl Mark {
         let [x, y, z, w] = last.rotation_xyzw;
         let pose = Pose::new(last.translation.into(), glam::DQuat::from_xyzw(x, y, z, w)).ok()?;
         print::notices(&[format!(
-            "going on behind the frame at {} s, where an earlier run of this command ended; delete {} to start from the first",
+            "continuing after the frame at {} s, where an earlier run of this command ended; \
+             delete {} to start from the first frame",
             last.time,
             self.path.display()
         )]);

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use std::time::Instant;
 
 /// Maximum number of features in one request of `why`.
-const MOST_EXPLAINED: usize = 500;
+const MAX_EXPLAINED: usize = 500;
 
 /// Asks for the images of a pose.
 #[derive(Deserialize)]
@@ -151,9 +151,9 @@ impl Session {
     pub(crate) fn why(&mut self, request: &WhyRequest) -> Result<Answer> {
         let pose = pose_of(&request.pose)?;
         self.sensor.check_projection()?;
-        if request.ids.len() > MOST_EXPLAINED {
+        if request.ids.len() > MAX_EXPLAINED {
             let what = format!("{} features in one request", request.ids.len());
-            return Err(Error::usage(what, format!("ask for at most {MOST_EXPLAINED}")));
+            return Err(Error::usage(what, format!("ask for at most {MAX_EXPLAINED}")));
         }
         let all = &self.placed.features;
         let found = |id: &u32| all.binary_search_by_key(id, |p| p.feature.id).ok().map(|i| all[i].clone());

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 /// Bytes of views between two checks of the memory.
 const A_LOT: u64 = 64 << 20;
 /// Maximum number of pieces of a plan.
-const MOST_PIECES: usize = 1 << 22;
+const MAX_PIECES: usize = 1 << 22;
 
 /// Asks for the next places of the map.
 #[derive(Deserialize)]
@@ -244,8 +244,8 @@ impl Session {
                 }
                 let ends = cut.chunks_exact(2).map(|ends| [ends[0].x, ends[0].y, ends[1].x, ends[1].y]);
                 pieces.extend(ends.map(|ends| ends.map(|c| c as f32)));
-                if pieces.len() > MOST_PIECES {
-                    let what = format!("the cut at {height} m has over {MOST_PIECES} pieces");
+                if pieces.len() > MAX_PIECES {
+                    let what = format!("the cut at {height} m has over {MAX_PIECES} pieces");
                     return Err(Error::usage(what, "give another height"));
                 }
             }

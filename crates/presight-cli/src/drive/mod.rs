@@ -277,8 +277,7 @@ impl Drive {
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
         let estimator = Estimator::new(predictor, options);
         let estimator = self.with_features(estimator, &scene, grey.as_ref(), &first.frame)?;
-        // A run that ended without a pose has no start left; one with a pose has moved since, and is as unsure as a
-        // start.
+        // A resumed run starts at its last pose, if it had one, with the uncertainty of a start.
         let start_now = if let Some(run) = resumed { run.pose } else { start };
         let progress = super::bar::count("frames");
         let mut localizer = self.localizer(estimator, start_now, &scene, first.frame.sensor(), &progress)?;
@@ -305,7 +304,7 @@ impl Drive {
             }
             progress.set_message(match (step.phase, may_search || start_now.is_none()) {
                 (Phase::Lost | Phase::Unknown, false) if options.freedom == Freedom::Full => {
-                    "lost: looking for the robot around its last pose"
+                    "lost: searching around the last pose"
                 }
                 (phase, _) => phase.name(),
             });

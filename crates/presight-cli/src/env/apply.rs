@@ -11,7 +11,8 @@ use std::path::{Path, PathBuf};
 /// The maximum number of lines committed together.
 const BATCH: usize = 100;
 
-const EXAMPLES: &str = r#"One change per line; poses are [x, y, z, roll_deg, pitch_deg, yaw_deg] or [x, y, z, qx, qy, qz, qw].
+const EXAMPLES: &str = r#"One change per line.
+Poses are [x, y, z, roll_deg, pitch_deg, yaw_deg] or [x, y, z, qx, qy, qz, qw].
 PATH names an object; "move", "set_pose" and "delete_object" also accept the path of a group:
   {"op":"move","object":PATH,"pose":[..]}      everything below PATH moves with it
   {"op":"set_pose","object":PATH,"pose":[..]}  an object moves alone

@@ -168,9 +168,9 @@ fn singular(what: &str, count: usize) -> String {
 
 /// The first of some names, and the number of the others.
 fn listed(names: impl ExactSizeIterator<Item = String>) -> String {
-    const MOST: usize = 20;
-    let more = names.len().saturating_sub(MOST);
-    let names: Vec<String> = names.take(MOST).collect();
+    const LISTED: usize = 20;
+    let more = names.len().saturating_sub(LISTED);
+    let names: Vec<String> = names.take(LISTED).collect();
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
     format!("{}{more}", names.join(", "))
 }

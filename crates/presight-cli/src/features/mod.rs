@@ -46,7 +46,8 @@ pub struct Args {
     scene: Option<PathBuf>,
 
     /// The sensor class of the features
-    #[arg(long, value_name = "CLASS", required_unless_present = "worth", conflicts_with = "worth", value_parser = NonEmptyStringValueParser::new())]
+    #[arg(long, value_name = "CLASS", required_unless_present = "worth", conflicts_with = "worth")]
+    #[arg(value_parser = NonEmptyStringValueParser::new())]
     class: Option<String>,
 
     /// Write the layer

@@ -109,7 +109,8 @@ fn describe(view: &PickView<'_>, hit: &Hit, args: &Args, options: &GenerateOptio
     let (seen, hidden): (Vec<NearbyFeature>, Vec<NearbyFeature>) = near.into_iter().partition(|n| n.pixels.is_some());
     lines.push(String::new());
     lines.push(format!(
-        "visible edges and corners within {} m of it, nearest in the image first (pixels, metres, kind, points in the object, object)",
+        "visible edges and corners within {} m of it, nearest in the image first \
+         (pixels, metres, kind, points in the object, object)",
         args.reach
     ));
     lines.extend(listed(&seen));

@@ -111,9 +111,9 @@ pub struct Args {
     #[arg(long, value_name = "L", default_value_t = 9.0)]
     sure: f64,
 
-    /// The most that one view counts, log-odds
-    #[arg(long, value_name = "L", default_value_t = 3.0)]
-    most_per_view: f64,
+    /// Maximum contribution of one view, log-odds
+    #[arg(long = "most-per-view", value_name = "L", default_value_t = 3.0)]
+    max_per_view: f64,
 }
 
 /// Runs the command.
@@ -226,7 +226,7 @@ fn write_changes(path: &Path, changes: &[ProposedChange]) -> Result<()> {
 }
 
 fn options(args: &Args) -> Result<LearnOptions> {
-    for (flag, value) in [("--sure", args.sure), ("--most-per-view", args.most_per_view)] {
+    for (flag, value) in [("--sure", args.sure), ("--most-per-view", args.max_per_view)] {
         if !(value > 0.0 && value.is_finite()) {
             return Err(Error::usage(format!("{flag} {value}"), "give finite log-odds above 0"));
         }
@@ -234,7 +234,7 @@ fn options(args: &Args) -> Result<LearnOptions> {
     Ok(LearnOptions::default()
         .with_min_views(args.views.max(1))
         .with_decisive(args.sure)
-        .with_max_per_view(args.most_per_view)
+        .with_max_per_view(args.max_per_view)
         .with_model_sigma(args.drive.model_sigma.unwrap_or(0.0)))
 }
 
