@@ -40,9 +40,9 @@ pub struct FindOptions {
 impl Default for FindOptions {
     fn default() -> Self {
         Self {
-            edges: EdgeOptions { least_support: 0.7, ..EdgeOptions::default() },
+            edges: EdgeOptions { min_support: 0.7, ..EdgeOptions::default() },
             corners: CornerOptions::default(),
-            jumps: JumpOptions { least_support: 0.7, ..JumpOptions::default() },
+            jumps: JumpOptions { min_support: 0.7, ..JumpOptions::default() },
             reflectors: ReflectorOptions::default(),
             place: None,
             deviations: 3.0,
@@ -110,7 +110,7 @@ impl Findings {
         }
     }
 
-    /// The same findings, with a feature treated as unmatched.
+    /// A copy of the findings in which a feature counts as unmatched.
     pub fn without(&self, id: u32) -> Self {
         let mut some = self.clone();
         let own = some.features.iter_mut().filter(|f| f.id == id);

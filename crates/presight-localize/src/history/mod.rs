@@ -5,9 +5,9 @@
 //! prediction and needs no world and no engine. Full predictions seed the tracker ([`Seed::of_prediction`]), and the
 //! detections in the windows ([`crate::matching::Detection`]) correct it.
 //!
-//! | step | what it does |
+//! | step | effect |
 //! |---|---|
-//! | [`Tracker::seed`] | starts tracks from a full prediction and ends those of features that it does not show |
+//! | [`Tracker::seed`] | starts tracks from a full prediction and ends the tracks of other features |
 //! | [`Tracker::predict`] | returns windows that hold each feature with the stated probability |
 //! | [`Tracker::correct`] | matches detections to tracks, corrects tracks, and drops tracks missed three times in a row |
 //!
