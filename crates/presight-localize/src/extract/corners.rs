@@ -9,31 +9,20 @@ use crate::matching::Detection;
 use glam::{DMat2, DVec2};
 use presight_model::measured::GreyImage;
 
-/// Thresholds of the corner detector.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct CornerOptions {
-    /// Standard deviation of a grey value.
-    pub noise: f64,
-    /// Minimum grey-value difference across the weaker of the edges that meet.
-    pub min_contrast: f64,
-    /// Maximum number of corners returned, the strongest first.
-    pub max_corners: usize,
-}
-
-impl Default for CornerOptions {
-    /// A camera of 8 bits with 1 % of noise.
-    fn default() -> Self {
-        Self { noise: 0.01, min_contrast: 0.06, max_corners: 500 }
+presight_model::options! {
+    /// Thresholds of the corner detector.
+    ///
+    /// Default: a camera of 8 bits with 1 % of noise.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct CornerOptions {
+        /// Standard deviation of a grey value.
+        noise: f64 = 0.01, with_noise;
+        /// Minimum grey-value difference across the weaker of the edges that meet.
+        min_contrast: f64 = 0.06, with_min_contrast;
+        /// Maximum number of corners returned, the strongest first.
+        max_corners: usize = 500, with_max_corners;
     }
 }
-
-presight_model::with_options!(
-    CornerOptions:
-    with_noise noise: f64,
-    with_min_contrast min_contrast: f64,
-    with_max_corners max_corners: usize,
-);
 
 /// Half side of the detection window, pixels.
 const HALF: i64 = 3;

@@ -14,8 +14,8 @@ pub struct ExpectedEdge {
     pub ends: [DVec2; 2],
     /// Search distance across the edge on either side, pixels.
     pub reach: f64,
-    /// The brighter side, if known: `Some(true)` for the right side of the direction from the first end to the second (rows
-    /// grow downwards).
+    /// The brighter side, if known: `Some(true)` for the right side of the direction from the first end to the second
+    /// (rows grow downwards).
     pub is_right_brighter: Option<bool>,
 }
 
@@ -48,34 +48,22 @@ impl ExpectedEdge {
 /// Minimum length of an edge to search, pixels.
 const SHORTEST: f64 = 12.0;
 
-/// Thresholds of the edge detector.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct EdgeOptions {
-    /// Standard deviation of a grey value.
-    pub noise: f64,
-    /// Minimum grey-value difference across an edge.
-    pub min_contrast: f64,
-    /// Minimum fraction of the edge's length with measured steps.
-    pub min_support: f64,
-    /// Maximum number of edges returned for an expected one.
-    pub max_edges: usize,
-}
-
-impl Default for EdgeOptions {
-    /// A camera of 8 bits with 1 % of noise.
-    fn default() -> Self {
-        Self { noise: 0.01, min_contrast: 0.06, min_support: 0.5, max_edges: 3 }
+presight_model::options! {
+    /// Thresholds of the edge detector.
+    ///
+    /// Default: a camera of 8 bits with 1 % of noise.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct EdgeOptions {
+        /// Standard deviation of a grey value.
+        noise: f64 = 0.01, with_noise;
+        /// Minimum grey-value difference across an edge.
+        min_contrast: f64 = 0.06, with_min_contrast;
+        /// Minimum fraction of the edge's length with measured steps.
+        min_support: f64 = 0.5, with_min_support;
+        /// Maximum number of edges returned for an expected one.
+        max_edges: usize = 3, with_max_edges;
     }
 }
-
-presight_model::with_options!(
-    EdgeOptions:
-    with_noise noise: f64,
-    with_min_contrast min_contrast: f64,
-    with_min_support min_support: f64,
-    with_max_edges max_edges: usize,
-);
 
 /// A detected edge.
 #[derive(Clone, Debug, PartialEq)]

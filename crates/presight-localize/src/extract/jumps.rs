@@ -5,30 +5,19 @@ use super::{ExpectedEdge, FoundEdge};
 use glam::DVec2;
 use presight_model::measured::{Frame, RangeNoise};
 
-/// Thresholds of the depth edge detector.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct JumpOptions {
-    /// Minimum jump as a fraction of the nearer range. A jump must also exceed the noise and the slopes of the surfaces.
-    pub min_jump: f64,
-    /// Minimum fraction of the edge's length with measured jumps.
-    pub min_support: f64,
-    /// Maximum number of edges returned for an expected one.
-    pub max_edges: usize,
-}
-
-impl Default for JumpOptions {
-    fn default() -> Self {
-        Self { min_jump: 0.03, min_support: 0.5, max_edges: 3 }
+presight_model::options! {
+    /// Thresholds of the depth edge detector.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct JumpOptions {
+        /// Minimum jump as a fraction of the nearer range. A jump must also exceed the noise and the slopes of the
+        /// surfaces.
+        min_jump: f64 = 0.03, with_min_jump;
+        /// Minimum fraction of the edge's length with measured jumps.
+        min_support: f64 = 0.5, with_min_support;
+        /// Maximum number of edges returned for an expected one.
+        max_edges: usize = 3, with_max_edges;
     }
 }
-
-presight_model::with_options!(
-    JumpOptions:
-    with_min_jump min_jump: f64,
-    with_min_support min_support: f64,
-    with_max_edges max_edges: usize,
-);
 
 /// Jumps must exceed this many standard deviations of noise.
 const FAR: f64 = 5.0;

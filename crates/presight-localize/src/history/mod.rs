@@ -1,4 +1,5 @@
-//! History-based prediction (paper section 3.4): predicts where features will be in the next image from where they were.
+//! History-based prediction (paper section 3.4): predicts where features will be in the next image from where they
+//! were.
 //!
 //! Between two frames most features move little. A [`Tracker`] filters the motion of each feature in the image and
 //! returns a small [`Window`] in which to search for it in the next frame. This takes a fraction of the time of a full

@@ -231,7 +231,8 @@ impl<'a> PixelJudge<'a> {
         if e.is_uncertain(at) {
             return (Verdict::Undecidable, predicted);
         }
-        // The window includes this pixel, so a range that agrees with it is neither nearer nor farther than all of them.
+        // The window includes this pixel, so a range that agrees with it is neither nearer nor farther than all of
+        // them.
         if let Some((range, sigma)) = here
             && (z - range).abs() <= BOUND * sigma
         {

@@ -1,7 +1,8 @@
 //! Verdicts: the comparison of a measured image with the model, pixel by pixel.
 //!
-//! [`of_frame`] predicts the exact plane of each pixel's polygon and compares a [`Frame`] with it: each pixel is confirmed,
-//! nearer, farther and so on ([`Verdict`]). The bounds follow from the noise of the sensor and the uncertainty of the pose.
+//! [`of_frame`] predicts the exact plane of each pixel's polygon and compares a [`Frame`] with it: each pixel is
+//! confirmed, nearer, farther and so on ([`Verdict`]). The bounds follow from the noise of the sensor and the
+//! uncertainty of the pose.
 
 mod expected;
 mod judge;
@@ -51,7 +52,7 @@ pub fn of_coarse_model(
         return Err(Error::usage("verdicts on a grey image", "give a frame of ranges"));
     }
     robot.covariance.check().map_err(|e| e.at("the robot's pose"))?;
-    let (surfaces, pose) = (&mut Surfaces::default(), &robot.world_from_robot);
+    let (surfaces, pose) = (&mut Surfaces::default(), &robot.robot());
     let expected = ExpectedImage::predict(predictor, world, surfaces, frame.sensor(), pose)?;
     predictor.on_threads(|| judge(frame, &expected, robot, polygon_sigma))
 }

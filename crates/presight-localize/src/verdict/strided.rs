@@ -1,4 +1,5 @@
-//! Predicted points in the order in which windows of an image are searched: columns that are one stride apart lie side by side.
+//! Predicted points in the order in which windows of an image are searched: columns that are one stride apart lie side
+//! by side.
 
 use super::ExpectedPixel;
 use std::sync::OnceLock;

@@ -82,8 +82,8 @@ impl Surfaces {
         errors
     }
 
-    /// Computes the surface of a polygon id, which is the number of its slot plus 1, unless it is known. An id of 0 means no
-    /// polygon.
+    /// Computes the surface of a polygon id, which is the number of its slot plus 1, unless it is known. An id of 0
+    /// means no polygon.
     pub fn see(&mut self, world: &World, id: u32) {
         if let Some(slot) = id.checked_sub(1)
             && self.seen(slot).is_none()
