@@ -9,9 +9,9 @@ use presight_model::random::SplitMix64;
 use presight_model::world::World;
 use presight_render::plan::{Facing, facings};
 
-/// Least distance of a free pose from any polygon, metres.
+/// Minimum distance of a free pose from any polygon, metres.
 pub const FREE_DISTANCE: f64 = 0.3;
-/// Least fraction of rays, spread evenly over all directions, that hit something.
+/// Minimum fraction of rays, spread evenly over all directions, that hit a surface.
 pub const FREE_HITS: f64 = 0.6;
 /// Rays of the hit test.
 const RAYS: u32 = 192;

@@ -4,7 +4,7 @@ use super::clip::clipped;
 use crate::grid::Cells;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, RobotPose};
 use presight_model::index::{QueryResult, Region};
 use presight_model::world::World;
 use presight_predict::free_poses::distance;
@@ -24,7 +24,7 @@ pub enum Place {
         radius: f64,
     },
     /// A corridor, and the robot's pose if it is in the robot's frame.
-    Along(Corridor, Pose),
+    Along(Corridor, RobotPose),
 }
 
 /// An object with a surface in a part of space.
@@ -126,10 +126,11 @@ fn in_sphere(world: &World, center: DVec3, radius: f64) -> Result<Found> {
 /// Side of the cells by which a corridor is searched, metres.
 const CELL: f64 = 0.1;
 
-fn along(world: &World, corridor: &Corridor, robot: &Pose) -> Result<Found> {
-    robot.check()?;
+fn along(world: &World, corridor: &Corridor, robot: &RobotPose) -> Result<Found> {
+    let world_from_robot = robot.world_from_robot();
+    world_from_robot.check()?;
     let cells = Cells::new(corridor, CELL)?;
-    let world_from_corridor = if corridor.frame() == CorridorFrame::World { Pose::IDENTITY } else { *robot };
+    let world_from_corridor = if corridor.frame() == CorridorFrame::World { Pose::IDENTITY } else { world_from_robot };
     let ([min, max], [low, high]) = (corridor.bounds(), corridor.heights());
     let bounds = Aabb { min: min.extend(low), max: max.extend(high) };
     let corridor_from_world = world_from_corridor.inverse();
