@@ -88,6 +88,7 @@ impl World {
     }
 
     /// Object and polygon of all polygons whose box meets a region. `found` is memory that queries share.
+    #[doc(hidden)]
     pub fn polygons_in<'a>(
         &'a self,
         region: &Region,
