@@ -73,7 +73,8 @@ fn outline(instance: Instance, first_corner: u32, corner_count: u32) -> Outline 
 }
 
 // Sets the shape of a survivor. Returns false if spans must draw it.
-fn set_shape(at: u32, index: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) -> bool {
+fn set_shape(
+    at: u32, index: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) -> bool {
     let seen = outline(instance, first_corner, corner_count);
     if seen.off < 0.0 {
         return false;

@@ -32,8 +32,9 @@ pub struct Panel<'a> {
     pub range: &'a [f32],
 }
 
-/// The surroundings of a place in several range images of one sensor, as the bytes of a PNG file. All have the colours of one scale,
-/// near yellow and far violet; left is left. A frame marks the place. A scan of one row is drawn from above, x (forward) up.
+/// The surroundings of a place in several range images of one sensor, as the bytes of a PNG file. All have the colours
+/// of one scale, near yellow and far violet; left is left. A frame marks the place. A scan of one row is drawn from
+/// above, x (forward) up.
 ///
 /// `around` are points in the sensor's body frame, metres, such as the corners of a box around the place.
 ///

@@ -122,8 +122,8 @@ struct Draw {
 }
 
 impl<P: Projection> Set<'_, P> {
-    /// The distance by which errors move the feature towards each side; `None` if they move it behind the sensor. Points that leave
-    /// the image elsewhere count where they would be.
+    /// The distance by which errors move the feature towards each side; `None` if they move it behind the sensor.
+    /// Points that leave the image elsewhere count where they would be.
     fn reach(&self, few: &ActiveErrors) -> Option<[f64; 4]> {
         let mut xi = ErrorVector::default();
         for (i, x) in self.used.iter().zip(few) {

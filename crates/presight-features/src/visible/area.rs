@@ -156,7 +156,8 @@ impl PatchPixels<'_> {
         }
     }
 
-    /// Returns true if the images hold no information for this pixel. The id alone would not tell: it is also 0 for an empty ray.
+    /// Returns true if the images hold no information for this pixel. The id alone would not tell: it is also 0 for an
+    /// empty ray.
     fn is_not_predicted(&self, line: u32, sample: u32) -> bool {
         self.query.frame.options.is_partial && self.query.frame.images.is_open(self.number_at(line, sample))
     }

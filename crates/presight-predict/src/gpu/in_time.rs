@@ -6,7 +6,8 @@
 
 use super::GpuEngine;
 use super::layout::Counters;
-use super::submission::{Part, Submission};
+use super::part::Part;
+use super::submission::Submission;
 use presight_model::clock::Instant;
 use presight_model::error::Result;
 use presight_render::deadline::{DeadlineEngine, DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Wave};

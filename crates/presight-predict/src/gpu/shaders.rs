@@ -101,8 +101,8 @@ mod tests {
         magnitudes.fold(0.0, f32::max)
     }
 
-    /// Vulkan states the precision of a division for divisors up to 2^126 only. Beyond, an H100 answers 0: scanners lost
-    /// the polygons around their poles.
+    /// Vulkan states the precision of a division for divisors up to 2^126 only. Beyond, an H100 answers 0: scanners
+    /// lost the polygons around their poles.
     #[test]
     fn no_number_is_too_great_to_divide_by() {
         for (name, text) in UNITS {
