@@ -15,7 +15,7 @@ pub const MAX_CELLS: f64 = 1e8;
 const LEVEL: f64 = 0.97;
 /// Maximum unevenness of a floor, metres.
 const UNEVEN: f64 = 0.1;
-/// Maximum distance from a cell of a surface that counts as inside, metres.
+/// Maximum distance between a cell and a surface that touches it, metres.
 const TOUCH: f64 = 1e-6;
 
 /// The state of a cell.
@@ -25,7 +25,7 @@ pub enum Cell {
     Free,
     /// Obstacle between the heights.
     Occupied,
-    /// Without a floor, or unobserved.
+    /// Unobserved cell, or cell without a floor.
     Unknown,
 }
 

@@ -4,7 +4,7 @@ use crate::geometry::Flat;
 use glam::{DMat3, DVec3};
 
 /// Normal equations of a correction of a plane: its height over the centre and its two slopes.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 pub(crate) struct PlaneFit {
     a: DMat3,
     b: DVec3,
@@ -13,7 +13,7 @@ pub(crate) struct PlaneFit {
 }
 
 impl PlaneFit {
-    /// Without points.
+    /// The equations of no points.
     pub const ZERO: Self = Self { a: DMat3::ZERO, b: DVec3::ZERO, weight: 0.0 };
 
     /// Adds a point relative to the base of the views. Its weight is halved at the distance `tolerance` from the plane, metres.

@@ -64,7 +64,7 @@ pub(crate) fn without_images(views: &Views, surface: &Surface, regions: &Regions
 fn mirrors(views: &Views, surface: &Surface, plane: &Flat, members: &[u32]) -> Vec<Mirror> {
     let (min, max) = bounds(members.iter().map(|m| plane.place(surface.surfels[*m as usize].at)));
     let size = surface.surfels[members[0] as usize].size;
-    // By cell: number of points that could be images, and of those with an original.
+    // By cell: number of points that could be images, and number of images.
     let mut counts: BTreeMap<[i64; 2], [u32; 2]> = BTreeMap::new();
     for view in views.some(VIEWS).all() {
         for pixel in view.inner_pixels() {

@@ -12,7 +12,7 @@ use presight_predict::predict::{Backend, Options, Predictor};
 use presight_testkit::caster::Caster;
 use presight_testkit::judge::{Placed, judge, sights};
 use presight_testkit::oracle::Oracle;
-use presight_testkit::way::{Driving, Way};
+use presight_testkit::route::{Driving, Route};
 
 fn lidar() -> Sensor {
     let spec = presight::preset("vlp-16").unwrap().spec().clone();
@@ -25,10 +25,10 @@ fn lidar() -> Sensor {
 fn drive(real: &Environment, sensor: &Sensor, seed: u64, seconds: f64, walkers: usize) -> Vec<Placed> {
     let bounds = real.bounds();
     let oracle = Oracle::new(real, 0.5 * (bounds.min + bounds.max)).unwrap();
-    let way = Way::wander(&oracle, &bounds, &Driving { seconds, speed: 0.6, turn: 0.6 }, seed);
-    let mut caster = Caster::new(real, sensor.clone(), seed).with_walkers(walkers, &way, seed);
+    let route = Route::wander(&oracle, &bounds, &Driving { seconds, speed: 0.6, turn: 0.6 }, seed);
+    let mut caster = Caster::new(real, sensor.clone(), seed).with_walkers(walkers, &route, seed);
     let times = (0..(2.0 * seconds) as usize).map(|k| 0.5 * k as f64);
-    times.map(|t| (caster.frame(&|t| way.at(t), t, None), way.at(t) * sensor.spec().mount)).collect()
+    times.map(|t| (caster.frame(&|t| route.at(t), t, None), route.at(t) * sensor.spec().mount)).collect()
 }
 
 /// The outer walls as boxes that are 10 cm off, from the bounds of the shell.
@@ -69,8 +69,8 @@ fn shared(a: &Environment, b: &Environment, frames: &[Placed]) -> Shared {
         let (area, normal) = (0.5 * outer.length(), outer.normalize());
         let is_inside = |p: DVec3| {
             (0..n).all(|k| {
-                let way = (corners[(k + 1) % n] - corners[k]).normalize();
-                normal.cross(way).dot(p - corners[k]) > CELL
+                let side = (corners[(k + 1) % n] - corners[k]).normalize();
+                normal.cross(side).dot(p - corners[k]) > CELL
             })
         };
         let mut points = vec![corners.iter().sum::<DVec3>() / n as f64];

@@ -26,11 +26,11 @@ pub struct Leaf {
     pub weak: Vec<String>,
     /// Fraction of the measured points that are explained.
     pub explained: f64,
-    /// How far surfaces of the map count as off, one standard deviation, metres: as stated, or as learnt so far.
+    /// Standard deviation of the map's surfaces, metres: the stated one, or the one learnt so far.
     pub model_sigma: f64,
     /// Fraction of the pixels with each verdict, by name.
     pub verdicts: Vec<(&'static str, f64)>,
-    /// Counts of predicted features by class, and of other detections; empty if no features were searched.
+    /// Counts of predicted features by class, and of other detections; empty without a search for features.
     pub features: Vec<(&'static str, usize)>,
     /// Position of the robot in the log's own poses, metres.
     pub reference: Option<[f64; 3]>,

@@ -19,7 +19,7 @@ pub(super) struct ImageErrors {
     faults: Option<usize>,
     /// The largest difference of ranges where both show the same polygon, in units in the last place.
     ulps: u32,
-    /// The same in metres, and the difference allowed at that pixel.
+    /// The difference in metres, and the difference allowed at that pixel.
     range_m: f64,
     allowed_m: f64,
     /// The largest ratio of the difference to that allowed at its pixel.
