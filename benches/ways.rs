@@ -115,7 +115,7 @@ const WAYS: [ChosenWay; 2] = [ChosenWay::RASTER, ChosenWay::TILES];
 
 /// Polygons that may show after the first wave, for each ray; `None` if there is one wave only.
 fn left(engine: &mut CpuEngine, world: &World, sensor: &Sensor, pose: &Pose) -> Option<f64> {
-    let (chosen, mut stats) = (ChosenWay { at_once: true, most_left: 0, ..ChosenWay::RASTER }, Stats::default());
+    let (chosen, mut stats) = (ChosenWay { at_once: true, max_left: 0, ..ChosenWay::RASTER }, Stats::default());
     let plan = FramePlan::by(chosen, PlanBuffers::default(), world, sensor, pose, (&Request::default()).into());
     engine.render(&plan.expect("a valid pose"), &mut Images::default(), &mut stats).expect("the engine renders");
     let rays = f64::from(sensor.width()) * f64::from(sensor.height());
@@ -127,7 +127,7 @@ fn measure(scene: &str, world: &World, sensor: &Sensor) {
     let mut engine = engine();
     let request = Request::default();
     let mut cold = vec![0u8; if number("PRESIGHT_WARM", 0) > 0 { 0 } else { 32 << 20 }];
-    let (mut times, mut differ, mut most_left) = ([const { Vec::new() }; 3], 0, 0f64);
+    let (mut times, mut differ, mut max_left) = ([const { Vec::new() }; 3], 0, 0f64);
     let mut images = <[Images; 3]>::default();
     let ways = [WAYS[0], WAYS[1], Way::Counts.choose(world, sensor)];
     for pose in &poses {
@@ -148,7 +148,7 @@ fn measure(scene: &str, world: &World, sensor: &Sensor) {
         times.iter_mut().zip(least).for_each(|(times, least)| times.push(least));
         differ += differing(&images[0], &images[1]).len() + differing(&images[0], &images[2]).len();
         let left = left(&mut engine, world, sensor, pose);
-        most_left = most_left.max(left.unwrap_or(0.0));
+        max_left = max_left.max(left.unwrap_or(0.0));
         if number("PRESIGHT_EACH", 0) > 0 {
             println!("{scene} {} {left:?} {least:?}", sensor.spec().name);
         }
@@ -158,7 +158,7 @@ fn measure(scene: &str, world: &World, sensor: &Sensor) {
     let mut kept: Vec<f64> = (0..poses.len()).map(|i| times[0][i].min(times[1][i]) / times[2][i]).collect();
     kept.sort_by(f64::total_cmp);
     println!(
-        "| {scene} | {} {} x {} | {:.3} | {:.3} | {:.3} | {:.2} ({:.2}, {:.2}) | {:.2} ({:.2}) | {most_left:.3} | {differ} of {} |",
+        "| {scene} | {} {} x {} | {:.3} | {:.3} | {:.3} | {:.2} ({:.2}, {:.2}) | {:.2} ({:.2}) | {max_left:.3} | {differ} of {} |",
         sensor.spec().name,
         sensor.width(),
         sensor.height(),

@@ -91,7 +91,6 @@
 //!     shape: Shape::Point(at(0.0)),
 //!     covariances: vec![DMat2::IDENTITY],
 //!     properties: ExpectedProperties::default(),
-//!     points_world: Vec::new(),
 //! };
 //! tracker.seed(0.0, vec![seed])?;
 //! let mut areas = Vec::new();
@@ -114,7 +113,9 @@ pub use presight_localize::estimate::{Estimate, EstimateOptions, Estimator, Free
 #[doc(inline)]
 pub use presight_localize::extract::{FeatureClass, Findings, is_sought};
 #[doc(inline)]
-pub use presight_localize::history::{AlternatingTracker, ImageExtent, Seed, Source, Tracker, TrackerOptions};
+pub use presight_localize::history::{
+    End, ImageExtent, Match, MatchOutcome, Seed, Track, Tracker, TrackerOptions, Window,
+};
 #[doc(inline)]
 pub use presight_localize::localize::{
     Candidate, ErrorRates, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step,

@@ -1,4 +1,4 @@
-//! Supervision: whether the way ahead of a robot is free, by what its sensors measured. It is not a safety device.
+//! Supervision of the path ahead of a robot by the measurements of its sensors. It is not a safety device.
 #![doc = include_str!("../docs/supervise.md")]
 
 #[doc(inline)]

@@ -4,7 +4,7 @@
 
 #[doc(inline)]
 pub use presight_update::{
-    Action, Applied, Caster, Doubt, Evidence, Finding, Findings, LearnOptions, Learner, Library, Look, Met, Occupied,
-    Policy, ProgramRecognizer, Proposal, Recognized, Recognizer, Refined, Shape, Sight, Tally, UprightBox, Voxel,
-    Voxels, Waiting, What, change_lines,
+    Action, Applied, BestView, DoubtfulObject, Evidence, Finding, FindingKind, Findings, LearnOptions, Learner,
+    Library, LibraryShape, OccupancyThreshold, PendingChanges, PlannedView, Policy, ProgramRecognizer, Proposal,
+    Recognized, Recognizer, RefinedPose, Tally, UprightBox, Voxel, Voxels,
 };

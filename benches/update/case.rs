@@ -1,4 +1,5 @@
-//! A site that is no longer as its model has it, and a drive through it. The frames come from the test kit's own caster.
+//! A site that is no longer as its model has it, and a drive through it. The frames come from the test kit's own
+//! caster.
 
 use glam::{DQuat, DVec3};
 use presight_model::environment::{Environment, NewObject, Object};

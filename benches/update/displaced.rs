@@ -1,4 +1,5 @@
-//! A site whose objects all stand a little off their places. One drive teaches their poses, and another one judges them.
+//! A site whose objects all stand a little off their places. One drive teaches their poses, and another one judges
+//! them.
 
 use super::case::{Amounts, Case, Off};
 use presight_localize::estimate::{EstimateOptions, Estimator, nees};
@@ -10,7 +11,7 @@ use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
-use presight_update::{LearnOptions, Learner, Refined};
+use presight_update::{LearnOptions, Learner, RefinedPose};
 
 /// How far every object is off, metres.
 pub const OFF: f64 = 0.01;
@@ -54,9 +55,9 @@ fn stated(map: Environment, class: &str) -> World {
     world
 }
 
-/// Learns from a drive of a sensor with poses that are off as stated; returns the world with the poses that it taught, and these
-/// poses.
-pub fn learn(case: &Case, sensor: &Sensor, off: Off) -> (World, Vec<Refined>) {
+/// Learns from a drive of a sensor with poses that are off as stated; returns the world with the poses that it taught,
+/// and these poses.
+pub fn learn(case: &Case, sensor: &Sensor, off: Off) -> (World, Vec<RefinedPose>) {
     let mut learner = Learner::new(LearnOptions::default()).expect("sound options");
     for (frame, pose, _) in &case.drive(sensor, off) {
         learner.observe_at(&case.map, &[frame], pose).expect("a view");

@@ -1,5 +1,5 @@
-//! CPU time of learning and CPU time of localizing, on one log: `cargo bench --bench update -- live`. Ten frames a second at 1 m/s through a
-//! changed hall.
+//! CPU time of learning and CPU time of localizing, on one log: `cargo bench --bench update -- live`. Ten frames a
+//! second at 1 m/s through a changed hall.
 
 use super::case::Case;
 use super::{AMOUNTS, scene, sensors};

@@ -2,10 +2,10 @@
 
 use super::case::{Amounts, Case};
 use glam::{DVec3, Vec3};
+use presight_model::caster::RayCaster;
 use presight_model::environment::{Environment, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::geometry::Pose;
 use presight_model::world::World;
-use presight_update::Caster;
 use std::collections::{BTreeMap, HashMap};
 
 /// A surface of the other state is the same one within this distance, metres.
@@ -53,7 +53,7 @@ fn parts(whole: &Environment, prefix: &str) -> Environment {
 
 /// The parts of one state that the other one lacks: it has less than half of their points.
 fn lacks(environment: &Environment, other: &World) -> Vec<String> {
-    let caster = Caster::new(other, "laser");
+    let caster = RayCaster::new(other, "laser");
     let is_lacking = |index: &usize| {
         let object = &environment.objects()[*index];
         let points: Vec<DVec3> = (0..object.mesh.polygon_count() as u32)
@@ -63,7 +63,7 @@ fn lacks(environment: &Environment, other: &World) -> Vec<String> {
                 corners.into_iter().map(move |p| 0.5 * (p + middle)).chain([middle])
             })
             .collect();
-        let there = points.iter().filter(|p| caster.near(**p, SAME).is_some()).count();
+        let there = points.iter().filter(|p| caster.nearest(**p, SAME).is_some()).count();
         2 * there < points.len()
     };
     let lacking = (0..environment.objects().len()).filter(is_lacking);

@@ -1,4 +1,5 @@
-//! The pixels of another drive after an update: how many wrong ones are right now, and how many right ones it made wrong.
+//! The pixels of another drive after an update: how many wrong ones are right now, and how many right ones it made
+//! wrong.
 
 use super::case::Case;
 use presight_model::geometry::Pose;
@@ -6,7 +7,7 @@ use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_render::plan::{Images, Output, Outputs};
-use presight_update::{Findings, What};
+use presight_update::{FindingKind, Findings};
 
 /// Ranges that differ by no more are the same, metres.
 const SAME: f64 = 0.1;
@@ -44,8 +45,8 @@ impl Right {
 
 fn after(map: &World, findings: &Findings, with_boxes: bool) -> World {
     let mut after = map.clone();
-    let counts = |what: &What| with_boxes || !matches!(what, What::New(_));
-    let changes = findings.changes.iter().filter(|finding| counts(&finding.what));
+    let counts = |kind: &FindingKind| with_boxes || !matches!(kind, FindingKind::New(_));
+    let changes = findings.changes.iter().filter(|finding| counts(&finding.kind));
     changes.for_each(|finding| drop(after.apply_unchecked(finding.change(&after))));
     after
 }

@@ -7,7 +7,7 @@ use presight_model::geometry::{Aabb, Pose};
 use presight_model::sensor::Sensor;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_render::plan::{Images, Output, Outputs};
-use presight_update::{Findings, UprightBox, What};
+use presight_update::{FindingKind, Findings, UprightBox};
 use std::collections::BTreeMap;
 
 /// A change is visible if this number of pixels changes by more than this distance, metres, in this number of views.
@@ -85,7 +85,8 @@ pub fn share((found, all): (usize, usize)) -> String {
     format!("{found} of {all} ({:.0} to {:.0} %)", 100.0 * low, 100.0 * high)
 }
 
-/// In how many views an object changes enough pixels, in how many of them where it stands now, and in how many views are past it.
+/// In how many views an object changes enough pixels, in how many of them where it stands now, and in how many views
+/// are past it.
 type Seen = (usize, usize, usize);
 
 pub const HEAD: &str = "| drive | removed, found gone | moved, found | seen at the new place | added, found | place mm p50, p95 | false deletions | moved that stand | false new | moved to another's place |\n|---|---|---|---|---|---|---|---|---|---|";
@@ -100,8 +101,8 @@ fn interval(found: usize, all: usize) -> (f64, f64) {
     ((middle - half) / (1.0 + z * z / n), (middle + half) / (1.0 + z * z / n))
 }
 
-/// In how many views each changed object changes enough pixels, and in how many of them where it stands now, for the sensor of several
-/// that sees it in most views.
+/// In how many views each changed object changes enough pixels, and in how many of them where it stands now, for the
+/// sensor of several that sees it in most views.
 fn visible_by(case: &Case, sensors: &[&Sensor], poses: &[Pose]) -> BTreeMap<String, Seen> {
     let mut all = BTreeMap::<String, Seen>::new();
     for (name, views) in sensors.iter().flat_map(|sensor| visible(case, sensor, poses)) {
@@ -168,20 +169,20 @@ pub fn score(case: &Case, sensors: &[&Sensor], poses: &[Pose], findings: &Findin
     let views = visible_by(case, sensors, poses);
     let is_visible = |name: &String| views.get(name).is_some_and(|n| n.0 >= VISIBLE.2);
     let mut score = Score::default();
-    let what: BTreeMap<&str, &What> = findings.changes.iter().map(|f| (f.object.as_str(), &f.what)).collect();
+    let what: BTreeMap<&str, &FindingKind> = findings.changes.iter().map(|f| (f.object.as_str(), &f.kind)).collect();
     let bounds = |name: &str| site.object(name).map(|o| o.world_bounds());
     // Where something stands that the map does not have there.
     let news: Vec<Aabb> = case.added.iter().chain(case.moved.keys()).filter_map(|name| bounds(name)).collect();
-    let stands_at = |finding: &What, name: &str| match finding {
-        What::Moved { world_from_object, .. } => {
+    let stands_at = |finding: &FindingKind, name: &str| match finding {
+        FindingKind::Moved { world_from_object, .. } => {
             let object = map.object(name)?;
             let middle = object.mesh.bounds().transformed(&object.object_from_mesh).center();
             Some(world_from_object.transform_point(middle))
         }
-        What::New(found) => Some(found.pose.translation),
+        FindingKind::New(found) => Some(found.pose.translation),
         _ => None,
     };
-    let reported: Vec<DVec3> = findings.changes.iter().filter_map(|f| stands_at(&f.what, &f.object)).collect();
+    let reported: Vec<DVec3> = findings.changes.iter().filter_map(|f| stands_at(&f.kind, &f.object)).collect();
     // Objects of equal meshes are exchangeable: one may be found where another was moved or added.
     let equal = |name: &str, p: DVec3| {
         let size = |o: &Object| o.mesh.bounds().transformed(&o.object_from_mesh).half_extent();
@@ -193,9 +194,9 @@ pub fn score(case: &Case, sensors: &[&Sensor], poses: &[Pose], findings: &Findin
     let is_reported = |b: Aabb| reported.iter().any(|p| holds(&grown(b, 0.1), *p));
     for name in case.removed.iter().filter(|name| is_visible(name)) {
         let found = match what.get(name.as_str()).copied() {
-            Some(What::Gone) => true,
+            Some(FindingKind::Gone) => true,
             // An object of equal mesh that stands elsewhere counts as right.
-            Some(moved) if matches!(moved, What::Moved { .. }) => {
+            Some(moved) if matches!(moved, FindingKind::Moved { .. }) => {
                 stands_at(moved, name).is_some_and(|p| equal(name, p))
             }
             _ => false,
@@ -219,7 +220,7 @@ pub fn score(case: &Case, sensors: &[&Sensor], poses: &[Pose], findings: &Findin
         let object = map.object(name).expect("it exists");
         let middle = object.mesh.bounds().transformed(&object.object_from_mesh).center();
         let found = match what.get(name.as_str()).copied() {
-            Some(What::Moved { world_from_object, .. }) => {
+            Some(FindingKind::Moved { world_from_object, .. }) => {
                 let off = world_from_object.transform_point(middle).distance(pose.transform_point(middle));
                 if off < 0.3 {
                     score.places.push(off);
@@ -234,7 +235,7 @@ pub fn score(case: &Case, sensors: &[&Sensor], poses: &[Pose], findings: &Findin
                 score.elsewhere += usize::from(!is_right);
                 is_right
             }
-            Some(What::Gone) => is_reported(there),
+            Some(FindingKind::Gone) => is_reported(there),
             _ => false,
         };
         score.moved = (score.moved.0 + usize::from(found), score.moved.1 + 1);
@@ -269,7 +270,7 @@ pub fn score(case: &Case, sensors: &[&Sensor], poses: &[Pose], findings: &Findin
 
 /// A report about an object.
 fn state(findings: &Findings, name: &str) -> String {
-    let change = findings.changes.iter().find(|f| f.object == *name).map(|f| format!("{:?}", f.what));
+    let change = findings.changes.iter().find(|f| f.object == *name).map(|f| format!("{:?}", f.kind));
     let doubt = findings.doubts.iter().find(|d| d.object == *name).map(|d| format!("in doubt: {}", d.why));
     let stands = findings.confirmed.iter().any(|n| n == name).then(|| "confirmed".to_owned());
     change.or(doubt).or(stands).unwrap_or_else(|| "no view says anything".to_owned())
@@ -277,7 +278,7 @@ fn state(findings: &Findings, name: &str) -> String {
 
 /// The box of something new that is nearest to a place.
 fn nearest(findings: &Findings, p: DVec3) -> String {
-    let boxes = findings.changes.iter().filter_map(|f| if let What::New(b) = &f.what { Some(b) } else { None });
+    let boxes = findings.changes.iter().filter_map(|f| if let FindingKind::New(b) = &f.kind { Some(b) } else { None });
     let far = |b: &UprightBox| b.pose.translation.distance(p);
     let near = boxes.min_by(|a, b| far(a).total_cmp(&far(b)));
     near.map_or_else(String::new, |b| format!("the nearest box {:.2} at {:.2}", b.size, b.pose.translation))
@@ -288,18 +289,18 @@ fn count_false(case: &Case, findings: &Findings, news: &[Aabb], score: &mut Scor
     score.standing = findings.confirmed.iter().filter(|name| stands(name)).count();
     for finding in &findings.changes {
         let name = finding.object.as_str();
-        match &finding.what {
-            What::Gone if stands(name) => {
+        match &finding.kind {
+            FindingKind::Gone if stands(name) => {
                 score.false_gone += 1;
                 score.standing += 1;
                 score.notes.push(format!("false deletion of {name}: {:.1}, {} views", finding.l, finding.views));
             }
-            What::Moved { distance, .. } if stands(name) => {
+            FindingKind::Moved { distance, .. } if stands(name) => {
                 score.false_moved += 1;
                 score.standing += 1;
                 score.notes.push(format!("{name} stands and was found moved by {distance:.3}"));
             }
-            What::New(found) if !news.iter().any(|b| holds(&grown(*b, 0.15), found.pose.translation)) => {
+            FindingKind::New(found) if !news.iter().any(|b| holds(&grown(*b, 0.15), found.pose.translation)) => {
                 score.false_new += 1;
                 let b = found.pose.translation;
                 let holds = |o: &&Object| !o.is_deleted() && holds(&grown(o.world_bounds(), 0.05), b);

@@ -1,4 +1,5 @@
-//! A picture of a person who crosses before a robot and leaves nothing: `cargo bench --bench update -- walker FILE.png`.
+//! A picture of a person who crosses before a robot and leaves nothing: `cargo bench --bench update -- walker
+//! FILE.png`.
 
 use glam::DVec3;
 use presight::Scene;
@@ -12,7 +13,7 @@ use presight_read::sensor_toml;
 use presight_render::plan::{Images, Output, Outputs};
 use presight_testkit::caster::Caster;
 use presight_testkit::route::Route;
-use presight_update::{LearnOptions, Learner, What};
+use presight_update::{FindingKind, LearnOptions, Learner};
 
 /// A range camera of 160 x 120 pixels, 72 degrees wide, 1.2 m above the floor.
 const CAMERA: &str = "format = 1\nkind = \"camera\"\nname = \"range camera\"\nclass = \"laser\"\nwidth = 160\nheight = 120\nfx = 110.0\nfy = 110.0\ncx = 79.5\ncy = 59.5\nrange_max = 12.0\n[noise]\nrange_sigma = 0.01\n";
@@ -60,7 +61,7 @@ pub fn strip(file: &str) {
         }
     }
     let (frames, first) = found.expect("somebody crosses");
-    let mut learner = Learner::new(LearnOptions::default().with_apart(0.05)).expect("sound options");
+    let mut learner = Learner::new(LearnOptions::default().with_view_distance(0.05)).expect("sound options");
     let sigmas = [0.002, 0.002, 0.002, 0.0005, 0.0005, 0.0005];
     for frame in &frames {
         let pose = PoseEstimate::new(route.at(frame.stamp), PoseCovariance::from_sigmas(sigmas));
@@ -68,8 +69,11 @@ pub fn strip(file: &str) {
     }
     learner.end_drive();
     let findings = learner.findings(&world);
-    let left =
-        findings.changes.iter().filter(|f| matches!(f.what, What::New(_) | What::Gone | What::Moved { .. })).count();
+    let left = findings
+        .changes
+        .iter()
+        .filter(|f| matches!(f.kind, FindingKind::New(_) | FindingKind::Gone | FindingKind::Moved { .. }))
+        .count();
     assert_eq!(left, 0, "{:?}", findings.changes);
     let mut after = world.clone();
     findings.changes.iter().for_each(|finding| drop(after.apply(finding.change(&after))));

@@ -1,9 +1,11 @@
-//! A real building against its architect's model: scans cast in the laser map of the Willow Garage offices teach the model what differs.
-//! `cargo bench --bench update -- willow [FOLDER]`; a folder gets the logs and the poses of the first drive, for the command.
+//! A real building against its architect's model: scans cast in the laser map of the Willow Garage offices teach the
+//! model what differs. `cargo bench --bench update -- willow [FOLDER]`; a folder gets the logs and the poses of the
+//! first drive, for the command.
 
 use glam::{DMat3, DVec2, DVec3};
 use presight_localize::estimate::{EstimateOptions, Estimator, Freedom};
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
+use presight_model::caster::RayCaster;
 use presight_model::environment::Environment;
 use presight_model::geometry::{Aabb, Pose, PoseCovariance, PoseEstimate};
 use presight_model::measured::{Frame, Measurement, Motion, OdometryNoise};
@@ -13,7 +15,7 @@ use presight_predict::predict::{Backend, Options, Predictor};
 use presight_read::log::{LogFrame, lines};
 use presight_read::sensor_toml;
 use presight_testkit::{Random, data};
-use presight_update::{Caster, Findings, LearnOptions, Learner, What};
+use presight_update::{FindingKind, Findings, LearnOptions, Learner};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
@@ -237,14 +239,14 @@ fn drive(map: &Map, way: &[Pose], sensor: &Sensor, seed: u64) -> Vec<(Frame, Pos
 
 /// The share of beams that end within [`NEAR`] of the model, per cent.
 fn explained(world: &World, drives: &[Vec<(Frame, Pose)>]) -> f64 {
-    let caster = Caster::new(world, "laser");
+    let caster = RayCaster::new(world, "laser");
     let (mut all, mut near) = (0usize, 0usize);
     for (frame, pose) in drives.iter().flatten() {
         let sensor = frame.sensor();
         let pose = *pose * sensor.spec().mount;
         for (c, z) in (0..sensor.width()).zip(frame.ranges()).filter(|(_, z)| z.is_finite()) {
             let ray = pose.rotation * sensor.ray(c, 0).expect("a ray");
-            let met = caster.first(pose.translation, ray, REACH, None);
+            let met = caster.cast(pose.translation, ray, REACH, None);
             all += 1;
             near += usize::from(met.is_some_and(|met| (met.range - f64::from(*z)).abs() <= NEAR.0));
         }
@@ -277,7 +279,8 @@ fn seen_before(drives: &[Vec<(Frame, Pose)>], others: &[Vec<(Frame, Pose)>]) -> 
     100.0 * all.iter().filter(near).count() as f64 / all.len().max(1) as f64
 }
 
-/// Where drives put the robot: scans within 0.5 m and 5 degrees of the truth, all, and those said to be tracked that are farther off.
+/// Where drives put the robot: scans within 0.5 m and 5 degrees of the truth, all, and those said to be tracked that
+/// are farther off.
 fn localized(world: &World, drives: &[Vec<(Frame, Pose)>]) -> (usize, usize, usize) {
     let (mut good, mut all, mut wrong) = (0, 0, 0);
     for drive in drives {
@@ -326,9 +329,9 @@ fn cut(environment: &Environment, object: &str, bounds: &Aabb) -> Vec<DVec2> {
 fn missing(map: &Map, environment: &Environment, findings: &Findings) -> (usize, usize) {
     let (mut all, mut right) = (0, 0);
     for finding in &findings.changes {
-        let bounds = match &finding.what {
-            What::Part(bounds) => *bounds,
-            What::Gone => Aabb { min: DVec3::splat(-1e6), max: DVec3::splat(1e6) },
+        let bounds = match &finding.kind {
+            FindingKind::Part(bounds) => *bounds,
+            FindingKind::Gone => Aabb { min: DVec3::splat(-1e6), max: DVec3::splat(1e6) },
             _ => continue,
         };
         let mut pieces: BTreeMap<[i64; 2], Vec<f64>> = BTreeMap::new();
@@ -363,7 +366,8 @@ fn places() -> Vec<DVec2> {
     published()["scans"].as_array().expect("a list").iter().map(|scan| pose_of(scan).0).collect()
 }
 
-/// The median difference between ranges cast here and those published with the map, metres: the casts are right if it is a cell or less.
+/// The median difference between ranges cast here and those published with the map, metres: the casts are right if it
+/// is a cell or less.
 fn beside_published(map: &Map) -> f64 {
     let mut off = Vec::new();
     for scan in published()["scans"].as_array().expect("a list") {
@@ -402,8 +406,8 @@ pub fn run(folder: &str, (model_sigma, metres): (f64, f64)) {
     let findings = learner.findings(&model);
     let mut after = model.clone();
     findings.changes.iter().for_each(|finding| drop(after.apply_unchecked(finding.change(&after))));
-    let count = |is: fn(&What) -> bool| findings.changes.iter().filter(|f| is(&f.what)).count();
-    let news = findings.changes.iter().filter_map(|f| if let What::New(b) = &f.what { Some(b) } else { None });
+    let count = |is: fn(&FindingKind) -> bool| findings.changes.iter().filter(|f| is(&f.kind)).count();
+    let news = findings.changes.iter().filter_map(|f| if let FindingKind::New(b) = &f.kind { Some(b) } else { None });
     // A box without anything real in it, or at its sides, is wrong.
     let is_wrong = |b: &&presight_update::UprightBox| {
         let (half, rotation) = (0.5 * b.size + 0.1, b.pose.rotation);
@@ -420,9 +424,9 @@ pub fn run(folder: &str, (model_sigma, metres): (f64, f64)) {
     println!("wrong: {:?}; {:?}", findings.wrong, learner.tally());
     println!(
         "{} gone, {} moved, {} parts gone, {} doubts, {} confirmed, {} never seen",
-        count(|w| matches!(w, What::Gone)),
-        count(|w| matches!(w, What::Moved { .. })),
-        count(|w| matches!(w, What::Part(_))),
+        count(|w| matches!(w, FindingKind::Gone)),
+        count(|w| matches!(w, FindingKind::Moved { .. })),
+        count(|w| matches!(w, FindingKind::Part(_))),
         findings.doubts.len(),
         findings.confirmed.len(),
         findings.unseen

@@ -101,7 +101,7 @@ fn an_engine_that_cannot_stop_reports_it() {
 #[test]
 fn priorities_without_sense_are_wrong_usage() {
     let (world, sensor, mut predictor) = (room_world(1, 10), camera(32, 24), predictor());
-    let radii = [0.0, -1.0, f64::NAN, f64::INFINITY].map(|metres| Priority::default().with_least_radius(metres));
+    let radii = [0.0, -1.0, f64::NAN, f64::INFINITY].map(|metres| Priority::default().with_min_radius(metres));
     let headings = [f64::NAN, f64::NEG_INFINITY].map(|heading| Priority::default().with_heading(heading));
     for priority in radii.into_iter().chain(headings) {
         let request = within(Duration::from_secs(1)).with_priority(priority);

@@ -40,7 +40,7 @@ fn backed_off(start: f64) -> Vec<(Phase, f64, f64, String)> {
     let one = |k: u32| {
         let truth = along(-0.2 * f64::from(k));
         let seen = sense(&real, &sensor, &(truth * sensor.spec().mount), &mut random);
-        let mut frame = Frame::new(f64::from(k), sensor.clone(), seen.sensed().clone()).unwrap();
+        let mut frame = Frame::new(f64::from(k), sensor.clone(), seen.measurement().clone()).unwrap();
         frame.motion = (k > 0).then(|| Motion::of_odometry(along(-0.2), &OdometryNoise::default()));
         let step = robot.step(&map, &frame).unwrap();
         let (metres, _) = apart(&step.pose.world_from_robot, &truth);

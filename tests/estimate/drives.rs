@@ -13,7 +13,7 @@ fn on_the_way(k: usize) -> Pose {
 }
 
 fn at(stamp: f64, frame: Frame) -> Frame {
-    Frame::new(stamp, frame.sensor().clone(), frame.sensed().clone()).unwrap()
+    Frame::new(stamp, frame.sensor().clone(), frame.measurement().clone()).unwrap()
 }
 
 fn localizer(start: &Pose) -> Localizer {

@@ -168,7 +168,7 @@ fn the_flight_is_tracked() {
     let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
     for k in 0..40 {
         let seen = frame("depth", k, 0.005);
-        let seen = Frame::new(k as f64, seen.sensor().clone(), seen.sensed().clone()).unwrap();
+        let seen = Frame::new(k as f64, seen.sensor().clone(), seen.measurement().clone()).unwrap();
         let step = robot.step(&map, &seen).unwrap();
         assert!(k < 2 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
         let difference = step.estimate.verdicts[0].difference.iter().filter(|d| !d.is_nan());

@@ -81,7 +81,7 @@ fn a_mount_that_is_turned_by_half_is_not_tracked() {
     let world = hall();
     let turned = row_scanner(180.0);
     let (tracked, wrong, warnings) = followed(&world, &world, |_, frame| {
-        let mut again = Frame::new(frame.stamp, turned.clone(), frame.sensed().clone()).unwrap();
+        let mut again = Frame::new(frame.stamp, turned.clone(), frame.measurement().clone()).unwrap();
         again.motion = frame.motion;
         again
     });
@@ -94,7 +94,7 @@ fn a_mount_that_is_a_little_turned_is_named_with_its_figure() {
     let world = hall();
     let stated = row_scanner(-2.0);
     let (_, _, warnings) = followed(&world, &world, |_, frame| {
-        let mut again = Frame::new(frame.stamp, stated.clone(), frame.sensed().clone()).unwrap();
+        let mut again = Frame::new(frame.stamp, stated.clone(), frame.measurement().clone()).unwrap();
         again.motion = frame.motion;
         again
     });

@@ -35,7 +35,7 @@ fn frame(world: &World, start: &Pose, k: usize, random: &mut Random) -> (Frame, 
     let truth = Pose { translation: start.transform_point(DVec3::new(0.1 * k as f64, 0.0, 0.0)), ..*start };
     let sensor = row_scanner();
     let seen = sense(world, &sensor, &(truth * sensor.spec().mount), random);
-    let mut frame = Frame::new(k as f64, sensor, seen.sensed().clone()).unwrap();
+    let mut frame = Frame::new(k as f64, sensor, seen.measurement().clone()).unwrap();
     frame.motion = Some(Motion::of_odometry(step, &OdometryNoise::default()));
     (frame, truth)
 }
@@ -139,7 +139,7 @@ fn a_sensor_without_a_greatest_range_is_searched_with() {
     let mut robot = Localizer::unknown(planar(), search, LocalizeOptions::default());
     for k in 0..5 {
         let (finite, truth) = frame(&world, &start(), k, &mut random);
-        let mut frame = Frame::new(finite.stamp, endless.clone(), finite.sensed().clone()).unwrap();
+        let mut frame = Frame::new(finite.stamp, endless.clone(), finite.measurement().clone()).unwrap();
         frame.motion = finite.motion;
         let step = robot.step(&world, &frame).unwrap();
         let is_tracked = step.phase == Phase::Tracking;
@@ -203,7 +203,7 @@ fn a_camera_is_found_in_its_map_and_not_in_a_mirrored_one() {
         for k in 0..9 {
             let truth = start() * Pose::from_xyz_rpy(DVec3::new(0.1 * k as f64, 0.0, 0.0), 0.0, 0.0, 0.08 * k as f64);
             let seen = sense(&real, &sensor, &(truth * sensor.spec().mount), &mut random);
-            let mut frame = Frame::new(k as f64, sensor.clone(), seen.sensed().clone()).unwrap();
+            let mut frame = Frame::new(k as f64, sensor.clone(), seen.measurement().clone()).unwrap();
             let step = Pose::from_xyz_rpy(DVec3::new(0.1, 0.0, 0.0), 0.0, 0.0, 0.08);
             frame.motion = Some(Motion::of_odometry(step, &OdometryNoise::default()));
             let step = robot.step(&map, &frame).unwrap();
@@ -302,7 +302,7 @@ fn check_held(world: &World, held: &Held, freedom: Freedom, is_known: bool, rand
         let at = from.transform_point(DVec3::new(0.1 * steps as f64, 0.0, 0.0));
         let truth = Pose { translation: at, ..from } * lean;
         let seen = sense(world, &sensor, &(truth * held.mount), random);
-        let mut frame = Frame::new(k as f64, sensor.clone(), seen.sensed().clone()).unwrap();
+        let mut frame = Frame::new(k as f64, sensor.clone(), seen.measurement().clone()).unwrap();
         let ahead = Pose { translation: DVec3::new(0.1, 0.0, 0.0), ..Pose::IDENTITY };
         frame.motion = Some(Motion::of_odometry(lean.inverse() * ahead * lean, &OdometryNoise::default()));
         let step = robot.step(world, &frame).unwrap_or_else(|e| panic!("{k}, {:?}: {e}", held.mount));

@@ -43,7 +43,7 @@ fn a_frame_that_no_pose_explains_is_given_up() {
     let world = room(Vec3::ZERO);
     let truth = Pose::from_xyz_rpy(DVec3::new(0.7, 2.2, 1.4), 0.0, 0.25, 0.05);
     let noisy = sense(&world, &camera(0.05), &truth, &mut Random(8));
-    let frame = Frame::new(0.0, camera(0.005), noisy.sensed().clone()).unwrap();
+    let frame = Frame::new(0.0, camera(0.005), noisy.measurement().clone()).unwrap();
     let answer = estimator(EstimateOptions::default())
         .estimate(&world, &[&frame], &PoseEstimate::of_sigmas(truth, 0.03, 0.01))
         .unwrap();

@@ -13,7 +13,7 @@ fn verdicts(real: &World, noise: f64) -> (Verdicts, ExpectedImage) {
     let frame = sense(real, &sensor, &pose, &mut Random(7));
     let model = room(Vec3::ZERO);
     let expected = ExpectedImage::predict(&mut predictor(), &model, &mut Surfaces::default(), &sensor, &pose).unwrap();
-    let stated = Frame::new(0.0, camera(noise), frame.sensed().clone()).unwrap();
+    let stated = Frame::new(0.0, camera(noise), frame.measurement().clone()).unwrap();
     let known = PoseEstimate::of_sigmas(pose, POSE_SIGMA, POSE_SIGMA);
     (of_frame(&mut predictor(), &model, &stated, &known).unwrap(), expected)
 }

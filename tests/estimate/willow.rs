@@ -121,8 +121,8 @@ fn way(map: &Map, metres: f64, random: &mut Random) -> Vec<(DVec2, f64)> {
 /// The frames of a drive with odometry of 2 %, and their poses in the model.
 fn drive(map: &Map, sensor: &Sensor, seed: u64) -> Vec<(Frame, Pose)> {
     let mut random = Random(seed);
-    let noise = OdometryNoise::default().with_way(0.02).with_turn(0.02).with_turn_on_way(0.01);
-    let noise = noise.with_least(0.002).with_least_turn(0.002);
+    let noise = OdometryNoise::default().with_distance(0.02).with_turn(0.02).with_turn_per_distance(0.01);
+    let noise = noise.with_constant(0.002).with_constant_turn(0.002);
     let mut before: Option<Pose> = None;
     let mut frames = Vec::new();
     for (k, (at, yaw)) in way(map, 40.0, &mut random).into_iter().enumerate() {

@@ -478,7 +478,7 @@ fn images_turn_to_tiles_where_many_polygons_are_left() {
     for _ in 0..60 {
         let drawn = predictor.predict(&hall, &sensor, &pose, &Request::default()).unwrap();
         let left = drawn.stats.count_of(CountName::PolygonsLeft).expect("they were counted");
-        let most = Way::Counts.choose(&hall, &sensor).most_left;
+        let most = Way::Counts.choose(&hall, &sensor).max_left;
         assert!(left > most, "{left} {most}");
         let why = drawn.stats.taken.iter().find(|row| row.what == StageName::RaysByTiles).map(|row| row.why);
         seen.push((drawn.stats.way, why, common::bits(&drawn.images, Output::Range)));

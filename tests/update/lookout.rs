@@ -8,13 +8,13 @@ use presight_model::world::World;
 use presight_read::sensor_toml;
 use presight_testkit::caster::Caster;
 use presight_testkit::oracle::Oracle;
-use presight_update::{Finding, LearnOptions, Learner, What};
+use presight_update::{Finding, FindingKind, LearnOptions, Learner};
 
 const LIDAR: &str = "format = 1\nkind = \"scanner\"\nclass = \"laser\"\nrange_max = 20\n[azimuth]\nstart_deg = -180\nstep_deg = 1\ncount = 360\n\
     [elevation]\nstart_deg = -20\nstep_deg = 2\ncount = 14\n[noise]\nrange_sigma = 0.01\n[mount]\nxyz = [0.0, 0.0, 1.0]\n";
 
-/// A room of 8 x 6 m. A crate stands in an alcove between two blocks, which opens towards -x, and a pillar stands before the opening, too
-/// near for a robot to pass.
+/// A room of 8 x 6 m. A crate stands in an alcove between two blocks, which opens towards -x, and a pillar stands
+/// before the opening, too near for a robot to pass.
 fn room() -> Environment {
     let mut environment = Environment::new();
     let mut add = |name: &str, least: DVec3, most: DVec3| {
@@ -36,9 +36,9 @@ fn is_in_sight(oracle: &Oracle, from: DVec3) -> bool {
     points.into_iter().any(|p| (oracle.distance(from, (p - from).normalize()) - p.distance(from)).abs() < 1e-3)
 }
 
-/// By hand: straight before the pillar the nearest free places, 1.3 m from the crate's front, see nothing of it. Places aside, through the
-/// gaps of 0.4 m, see it. A robot that had two looks through a gap has to look from there, and so has one whose policy stops at the
-/// crate. The pose is free: the robot is 0.3 m in radius.
+/// By hand: straight before the pillar the nearest free places, 1.3 m from the crate's front, see nothing of it. Places
+/// aside, through the gaps of 0.4 m, see it. A robot that had two looks through a gap has to look from there, and so
+/// has one whose policy stops at the crate. The pose is free: the robot is 0.3 m in radius.
 #[test]
 fn a_crate_behind_a_pillar_is_looked_at_from_aside() {
     let world = World::new(room());
@@ -65,10 +65,16 @@ fn a_crate_behind_a_pillar_is_looked_at_from_aside() {
     learner.end_drive();
     let findings = learner.findings(&world);
     let doubt = findings.doubts.iter().find(|doubt| doubt.object == "crate").expect("two views do not decide");
-    let gone =
-        Finding { object: "crate".to_owned(), what: What::Gone, l: 9.0, views: 3, sight: None, growth: Vec::new() };
-    let policy = learner.looks(&world, &[&gone]).remove(0).expect("a pose to look from");
-    let look = doubt.look.clone().expect("a pose to look from");
+    let gone = Finding {
+        object: "crate".to_owned(),
+        kind: FindingKind::Gone,
+        l: 9.0,
+        views: 3,
+        best_view: None,
+        growth: Vec::new(),
+    };
+    let policy = learner.plan_views(&world, &[&gone]).remove(0).expect("a pose to look from");
+    let look = doubt.view.clone().expect("a pose to look from");
     assert_eq!(look, policy);
     let p = look.world_from_sensor.translation;
     assert!(is_in_sight(&oracle, p) && (p.z - 1.0).abs() < 1e-3 && look.sensor == "lidar", "{look:?}");
@@ -90,5 +96,5 @@ fn a_crate_behind_a_pillar_is_looked_at_from_aside() {
         blind.observe_at(&shut, &[&frame], &PoseEstimate::new(again, PoseCovariance::from_sigmas([1e-3; 6]))).unwrap();
     }
     blind.end_drive();
-    assert_eq!(blind.looks(&shut, &[&gone]), [None]);
+    assert_eq!(blind.plan_views(&shut, &[&gone]), [None]);
 }

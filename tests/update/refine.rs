@@ -5,9 +5,9 @@ use super::displaced::{OFF, case, judge, learn};
 use super::{camera, hall};
 use glam::DVec3;
 
-/// Every object of the hall stands 1 cm off its place. A drive, with poses that are off, teaches where they stand: the middles are then
-/// off by less than half, and by as much as the covariances say. Another drive then finds the robot better, and is not surer of that than it
-/// should be.
+/// Every object of the hall stands 1 cm off its place. A drive, with poses that are off, teaches where they stand: the
+/// middles are then off by less than half, and by as much as the covariances say. Another drive then finds the robot
+/// better, and is not surer of that than it should be.
 #[test]
 fn objects_are_put_where_they_stand() {
     let case = case(hall(), &camera(), 100, 3);

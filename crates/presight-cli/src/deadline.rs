@@ -57,7 +57,7 @@ impl DeadlineArgs {
     pub fn add_to(&self, request: Request) -> Request {
         let Some(ms) = self.deadline_ms else { return request };
         let priority = Priority::default()
-            .with_least_radius(self.deadline_radius)
+            .with_min_radius(self.deadline_radius)
             .with_heading(self.deadline_heading.to_radians())
             .with_features(self.deadline_features.clone());
         request.with_deadline(Duration::from_secs_f64(ms / 1e3)).with_priority(priority)

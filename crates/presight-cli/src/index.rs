@@ -168,8 +168,8 @@ fn table(rows: &[Row], poses: usize, polygons: u32, swept: bool) -> Vec<String> 
             r.selectivity,
         );
         if swept {
-            let IndexParams { cell_polygons, least_cell, split_axis, .. } = r.params;
-            line += &format!("  {cell_polygons} polygons, {least_cell} m, {split_axis:?}");
+            let IndexParams { cell_polygons, min_cell, split_axis, .. } = r.params;
+            line += &format!("  {cell_polygons} polygons, {min_cell} m, {split_axis:?}");
         }
         lines.push(line);
     }

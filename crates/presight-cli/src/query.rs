@@ -22,7 +22,7 @@ const EXAMPLES: &str = "Examples:
   presight query hall.presight --path 1,1,0 8,4,0 --radius 0.4 --blocked run.jsonl
   presight query scenes/docking.rhai --docks";
 
-/// Ask a model for objects in a place, docks, uncertain features, the nearest surface, or a way
+/// Ask a model for objects in a place, docks, uncertain features, the nearest surface, or a path
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 #[command(group(clap::ArgGroup::new("question").required(true)))]
@@ -50,7 +50,7 @@ pub struct Args {
     #[arg(long, group = "question")]
     docks: bool,
 
-    /// Largest distance between neighbouring reflectors of one dock, metres
+    /// Maximum distance between neighbouring reflectors of one dock, metres
     #[arg(long, value_name = "METRES", default_value_t = 1.0, requires = "docks")]
     apart: f64,
 
@@ -148,7 +148,7 @@ impl Question {
             return Ok(Self::Free(numbers::<3>("--free", text)?.into()));
         }
         if args.uncertain {
-            let options = UncertainOptions::default().with_least_existence(args.below).with_time(args.time);
+            let options = UncertainOptions::default().with_min_existence(args.below).with_time(args.time);
             return Ok(Self::Uncertain(options.with_since(args.since)));
         }
         if let Some([from, to]) = args.path.as_deref() {
@@ -167,7 +167,7 @@ impl Question {
             Self::Docks(apart) => groups(world, *apart),
             Self::Free(p) => free(world, *p),
             Self::Uncertain(options) => uncertain(world, options),
-            Self::Way(from, to, seen, options) => way(world, *from, *to, seen, options),
+            Self::Way(from, to, seen, options) => path(world, *from, *to, seen, options),
         }
     }
 }
@@ -276,23 +276,23 @@ fn uncertain(world: &World, options: &UncertainOptions) -> Result<(Value, Vec<St
     };
     let mut lines: Vec<String> = objects.iter().map(object_line).chain(found.iter().map(line)).collect();
     if lines.is_empty() {
-        lines.push("nothing is uncertain".to_owned());
+        lines.push("no object or feature is uncertain".to_owned());
     }
     Ok((json!({ "objects": object_value.collect::<Vec<_>>(), "features": value.collect::<Vec<_>>() }), lines))
 }
 
-fn way(world: &World, from: DVec3, to: DVec3, seen: &[Aabb], options: &PathOptions) -> Result<(Value, Vec<String>)> {
+fn path(world: &World, from: DVec3, to: DVec3, seen: &[Aabb], options: &PathOptions) -> Result<(Value, Vec<String>)> {
     Ok(match find_path(world, from, to, seen, options).map_err(|e| e.at("--path"))? {
         FloorPath::Found { points, length } => {
             let place = |p: &DVec3| format!("{:.3}, {:.3}, {:.3}", p.x, p.y, p.z);
-            let mut lines = vec![format!("a way of {length:.2} m:")];
+            let mut lines = vec![format!("a path of {length:.2} m:")];
             lines.extend(points.iter().map(place));
             let points: Vec<_> = points.iter().map(|p| p.to_array()).collect();
             (json!({ "found": true, "length": length, "points": points }), lines)
         }
         FloorPath::Blocked { reached, missing, object } => {
-            let by = object.as_deref().map_or(String::new(), |name| format!("; {name} is in the way"));
-            let line = format!("no way: {missing:.2} m are missing from {:.3}, {:.3}{by}", reached.x, reached.y);
+            let by = object.as_deref().map_or(String::new(), |name| format!("; {name} blocks it"));
+            let line = format!("no path: {missing:.2} m are missing from {:.3}, {:.3}{by}", reached.x, reached.y);
             let value = json!({ "found": false, "reached": reached.to_array(), "missing": missing, "object": object });
             (value, vec![line])
         }

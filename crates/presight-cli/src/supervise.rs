@@ -1,4 +1,4 @@
-//! `presight supervise`: whether the way ahead is free, frame by frame.
+//! `presight supervise`: the free and the blocked cells of a corridor, frame by frame.
 
 use super::drive::{Drive, Sensed};
 use super::outputs::OutputFiles;
@@ -18,15 +18,17 @@ use std::time::Duration;
 
 const EXAMPLES: &str = "Examples:
   presight supervise log --map hall.glb --init reference --corridor way.json --speed 0.5 --out run.jsonl --png way.png
-  presight supervise front=front.jsonl rear=rear.jsonl --robot kurt.toml --map hall.glb --init reference --corridor way.json --out run.jsonl
+  presight supervise front=front.jsonl rear=rear.jsonl --robot kurt.toml --map hall.glb \
+    --init reference --corridor way.json --out run.jsonl
   presight supervise scans.json --map corridor.glb --init reference --corridor way.json --upright --out run.jsonl";
 
-/// Supervise the way ahead: which parts of a corridor are free, known, intruded or not seen, and why
+/// Supervise the path ahead: the cells of a corridor that are free, known, intruded or not seen, and the reason
 ///
-/// This is not a safety device. Tracks the robot as `localize` does, and compares each frame with the model in the corridor
-/// of --corridor: a line in the robot's frame or in the world, a polygon, or a footprint over poses (docs/formats.md).
-/// FILE.jsonl gets the cells and then one line for each frame; it grows as frames come, and stays after an error or a
-/// signal. While the pose is not tracked, the measurement counts alone: all surfaces in the corridor are intrusions.
+/// This is not a safety device. Tracks the robot as `localize` does, and compares each frame with the model in the
+/// corridor of --corridor: a line in the robot's frame or in the world, a polygon, or a footprint over poses
+/// (docs/formats.md). FILE.jsonl gets the cells and then one line for each frame; it grows as frames come, and stays
+/// after an error or a signal. While the pose is not tracked, the measurement counts alone: all surfaces in the
+/// corridor are intrusions.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -37,7 +39,7 @@ pub struct Args {
     #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["sensor", "grey_sensor"])]
     robot: Option<PathBuf>,
 
-    /// Logs of the robot's other sensors; frames count as taken together if their times differ by at most 10 ms
+    /// Logs of the robot's other sensors; frames with a time difference of at most 10 ms belong together
     #[arg(value_name = "NAME=LOG", requires = "robot")]
     beside: Vec<String>,
 
@@ -57,7 +59,7 @@ pub struct Args {
     #[arg(long, value_name = "METRES", default_value_t = 0.1)]
     cell: f64,
 
-    /// Width of the smallest thing that a free cell must not hide, metres
+    /// Width of the smallest intruder that a free cell cannot hide, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.07)]
     smallest: f64,
 

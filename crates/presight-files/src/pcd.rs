@@ -1,4 +1,4 @@
-//! PCD point clouds, binary and organized: one point per pixel, NaN where nothing is measured.
+//! PCD point clouds, binary and organized: one point per pixel, NaN for a pixel without a measurement.
 
 use super::point_fields::{Field, append_position, fields, in_words};
 use presight_model::error::Result;

@@ -13,7 +13,8 @@ pub enum Change {
     AddMaterial(Material),
     /// Adds an object. It replaces a group at its path, and objects below that path then belong to it.
     InsertObject(NewObject),
-    /// Sets the pose of an object or a group. Everything below its path (`cart/wheel` below `cart`) moves with it, rigidly.
+    /// Sets the pose of an object or a group. Everything below its path (`cart/wheel` below `cart`) moves with it,
+    /// rigidly.
     MoveObject {
         /// Full path of an object or a group.
         name: String,
@@ -27,9 +28,9 @@ pub enum Change {
         /// The new pose.
         world_from_object: Pose,
     },
-    /// Deletes an object, with the features and pose covariances in its frame, its marks and the trust in it. Its number and its slots are never
-    /// reused. Objects below its path stay; the path becomes a group whose frame is the object's last pose. Deleting a
-    /// group deletes everything below it.
+    /// Deletes an object, with the features and pose covariances in its frame, its marks and the trust in it. Its
+    /// number and its slots are never reused. Objects below its path stay; the path becomes a group whose frame is the
+    /// object's last pose. Deleting a group deletes everything below it.
     DeleteObject {
         /// Its full path.
         name: String,

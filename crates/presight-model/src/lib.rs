@@ -2,6 +2,7 @@
 //!
 //! Use it through the crate `presight`, which gives the same names.
 
+pub mod caster;
 pub mod change;
 pub mod clock;
 pub mod contour;
@@ -16,6 +17,7 @@ pub mod measured;
 pub mod memory;
 mod options;
 pub mod place;
+mod placed;
 pub mod placement;
 pub mod poses;
 pub mod printable;

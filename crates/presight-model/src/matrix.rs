@@ -9,8 +9,12 @@ pub type Matrix = [[f64; 6]; 6];
 /// Eigenvalues and eigenvectors (vector k is column k) of the upper left n x n part of a symmetric matrix.
 ///
 /// Rotates until the off-diagonal elements vanish in f64, which takes about six sweeps, and at most 64.
-pub fn eigen(mut a: Matrix, n: usize) -> ([f64; 6], Matrix) {
-    let mut v = [[0.0; 6]; 6];
+pub fn eigen(a: Matrix, n: usize) -> ([f64; 6], Matrix) {
+    jacobi(a, n)
+}
+
+fn jacobi<const N: usize>(mut a: [[f64; N]; N], n: usize) -> ([f64; N], [[f64; N]; N]) {
+    let mut v = [[0.0; N]; N];
     (0..n).for_each(|i| v[i][i] = 1.0);
     for _ in 0..64 {
         let off: f64 = (0..n).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| a[i][j].abs()).sum();
@@ -27,7 +31,7 @@ pub fn eigen(mut a: Matrix, n: usize) -> ([f64; 6], Matrix) {
 }
 
 /// The Jacobi rotation that zeroes a[p][q].
-fn rotate(a: &mut Matrix, v: &mut Matrix, p: usize, q: usize, n: usize) {
+fn rotate<const N: usize>(a: &mut [[f64; N]; N], v: &mut [[f64; N]; N], p: usize, q: usize, n: usize) {
     let apq = a[p][q];
     // Too small to change either diagonal element.
     if apq == 0.0 || apq.abs() < 1e-300 || apq.abs() <= f64::EPSILON * 1e-4 * (a[p][p] * a[q][q]).abs().sqrt() {
@@ -120,8 +124,8 @@ pub fn directions(m: &Matrix, axes: &[usize], reach: f64) -> Vec<(f64, [f64; 6])
     (0..n).map(|k| (values[k], vector(k))).collect()
 }
 
-/// With ones on the diagonal, an eigenvalue below this is rounding.
-const OPEN: f64 = 1e-12;
+/// Entries and eigenvalues below this are rounding, in matrices with ones on the diagonal.
+const ROUNDING: f64 = 1e-12;
 
 /// The inverse on the estimated axes. Along undetermined directions it is 0. Axes are first scaled by their own
 /// diagonal, so that one known far better does not make the others look undetermined.
@@ -130,7 +134,7 @@ pub fn inverse(m: &Matrix, axes: &[usize]) -> Matrix {
     let even = std::array::from_fn(|i| std::array::from_fn(|j| m[i][j] / (root[i] * root[j])));
     let found = directions(&even, axes, 1.0);
     let mut sum = [[0.0; 6]; 6];
-    for (value, v) in found.iter().filter(|(value, _)| *value > OPEN) {
+    for (value, v) in found.iter().filter(|(value, _)| *value > ROUNDING) {
         for i in 0..6 {
             for j in 0..6 {
                 sum[i][j] += v[i] * v[j] / (value * root[i] * root[j]);
@@ -140,8 +144,8 @@ pub fn inverse(m: &Matrix, axes: &[usize]) -> Matrix {
     sum
 }
 
-/// The lower triangular L with L L' = a (Cholesky decomposition); reads the lower triangle of a. `pivot` gets the square
-/// of each diagonal entry of L and returns the value to use instead, or `None` to give up.
+/// The lower triangular L with L L' = a (Cholesky decomposition); reads the lower triangle of a. `pivot` gets the
+/// square of each diagonal entry of L and returns the value to use instead, or `None` to give up.
 pub fn cholesky<const N: usize>(a: &[[f64; N]; N], pivot: impl Fn(f64) -> Option<f64>) -> Option<[[f64; N]; N]> {
     let mut l = [[0.0; N]; N];
     for i in 0..N {
@@ -186,9 +190,6 @@ pub fn square_root<const N: usize>(covariance: &[[f64; N]; N]) -> [[f64; N]; N] 
     factor
 }
 
-/// Remainder of a scaled covariance that counts as rounding.
-const NOTHING: f64 = 1e-12;
-
 /// Pivoted Cholesky decomposition; columns beyond the rank are 0. Returns `None` if the matrix is indefinite beyond
 /// rounding, because a small pivot would then produce huge entries.
 fn by_pivots<const N: usize>(scaled: &[[f64; N]; N]) -> Option<[[f64; N]; N]> {
@@ -196,14 +197,14 @@ fn by_pivots<const N: usize>(scaled: &[[f64; N]; N]) -> Option<[[f64; N]; N]> {
     let mut factor = [[0.0; N]; N];
     for column in 0..N {
         let pivot = (0..N).fold(0, |best, i| if rest[i][i] > rest[best][best] { i } else { best });
-        if rest[pivot][pivot] <= NOTHING {
-            let nothing = rest.as_flattened().iter().all(|x| x.abs() <= NOTHING);
+        if rest[pivot][pivot] <= ROUNDING {
+            let nothing = rest.as_flattened().iter().all(|x| x.abs() <= ROUNDING);
             return nothing.then_some(factor);
         }
         let root = rest[pivot][pivot].sqrt();
         let line: [f64; N] = std::array::from_fn(|i| rest[i][pivot] / root);
         for i in 0..N {
-            if line[i] * line[i] > rest[i][i] * (1.0 + 1e-9) + NOTHING {
+            if line[i] * line[i] > rest[i][i] * (1.0 + 1e-9) + ROUNDING {
                 return None;
             }
             factor[i][column] = line[i];
@@ -218,35 +219,10 @@ fn by_pivots<const N: usize>(scaled: &[[f64; N]; N]) -> Option<[[f64; N]; N]> {
     Some(factor)
 }
 
-/// Jacobi rotations with negative eigenvalues set to 0 (Higham 1988: the nearest positive semidefinite matrix).
-fn by_eigenvectors<const N: usize>(mut a: [[f64; N]; N]) -> [[f64; N]; N] {
-    let mut vectors = [[0.0; N]; N];
-    for i in 0..N {
-        vectors[i][i] = 1.0;
-    }
-    // Six sweeps reduce a matrix of six rows to rounding, because each converges quadratically.
-    for _ in 0..12 {
-        for p in 0..N {
-            for q in p + 1..N {
-                if a[p][q] == 0.0 {
-                    continue;
-                }
-                let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-                let tangent = theta.signum() / (theta.abs() + theta.hypot(1.0));
-                let cosine = 1.0 / tangent.hypot(1.0);
-                let sine = tangent * cosine;
-                let turn = |x: f64, y: f64| (cosine * x - sine * y, sine * x + cosine * y);
-                for k in 0..N {
-                    (a[k][p], a[k][q]) = turn(a[k][p], a[k][q]);
-                }
-                for k in 0..N {
-                    (a[p][k], a[q][k]) = turn(a[p][k], a[q][k]);
-                    (vectors[k][p], vectors[k][q]) = turn(vectors[k][p], vectors[k][q]);
-                }
-            }
-        }
-    }
-    std::array::from_fn(|i| std::array::from_fn(|k| vectors[i][k] * a[k][k].max(0.0).sqrt()))
+/// By eigenvalues, with negative ones set to 0 (Higham 1988: the nearest positive semidefinite matrix).
+fn by_eigenvectors<const N: usize>(a: [[f64; N]; N]) -> [[f64; N]; N] {
+    let (values, vectors) = jacobi(a, N);
+    std::array::from_fn(|i| std::array::from_fn(|k| vectors[i][k] * values[k].max(0.0).sqrt()))
 }
 
 #[cfg(test)]
@@ -267,7 +243,7 @@ mod tests {
         for (i, expected) in [25.0, 1.0, 1e12, 1e-12, 0.0, 0.5].into_iter().enumerate() {
             assert!((inverse[i][i] - expected).abs() <= 1e-9 * expected, "{i}: {}", inverse[i][i]);
         }
-        // Two axes for which only the sum is known.
+        // Two axes of which only the sum has information.
         let mut m = diagonal([1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
         (m[0][1], m[1][0]) = (1.0, 1.0);
         let inverse = super::inverse(&m, &all);

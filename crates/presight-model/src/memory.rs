@@ -83,11 +83,11 @@ pub fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
 pub struct FrameMemory {
     /// Columns times rows.
     pub pixels: u64,
-    /// A scanner's image is transposed on its way from the engine.
+    /// True for a scanner, whose images are transposed after drawing.
     pub scanner: bool,
     /// Predicted on a device instead of the CPU; the device's own memory is not counted.
     pub on_device: bool,
-    /// Number of images in memory; a vector image counts as three.
+    /// Number of scalar images in memory, where a vector image is three.
     pub images: u64,
     /// Channels of the EXR file.
     pub exr: u64,

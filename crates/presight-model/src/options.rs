@@ -1,7 +1,7 @@
 //! Setters of options.
 
-/// Makes a `with_..` for each option. Structs of options are `#[non_exhaustive]`, so other crates start from a default and
-/// set what differs.
+/// Makes a `with_..` for each option. Structs of options are `#[non_exhaustive]`, so other crates start from a default
+/// and set what differs.
 #[macro_export]
 macro_rules! with_options {
     ($options:ty: $($with:ident $field:ident: $kind:ty),+ $(,)?) => {

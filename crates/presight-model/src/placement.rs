@@ -4,41 +4,12 @@
 use crate::change::Change;
 use crate::environment::{DEFAULT_TOLERANCE, Environment, Feature, FeatureLayer};
 use crate::error::{Error, Result};
-use crate::geometry::{InObject, PoseCovariance};
 use crate::index::IndexKind;
 use crate::place::{place, place_lying};
+pub use crate::placed::{PlacedFeature, PlacedFeatures};
 use crate::world::World;
 use std::collections::HashSet;
 use std::sync::Arc;
-
-/// A feature with its object and polygons in one version of the world.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PlacedFeature {
-    /// The feature from the layer, in the frame of its object.
-    pub feature: Arc<Feature>,
-    /// Index of its object; `None` means the world.
-    pub object: Option<u32>,
-    /// Slots of the polygons on which it lies. They never hide the feature. For a contour these are the polygons of its
-    /// surface; a polygon does not hide the parts of a curve that touch it.
-    pub slots: Vec<u32>,
-}
-
-/// Features with the polygons on which they lie in one world. Clones share the data.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PlacedFeatures {
-    /// The features.
-    pub features: Arc<[PlacedFeature]>,
-    /// Indices, in ascending order, of features that no longer lie on a polygon and are omitted.
-    pub lost: Arc<[u32]>,
-    /// Covariances of objects' poses by index of the object.
-    pub objects: Arc<[(u32, PoseCovariance<InObject>)]>,
-}
-
-impl From<Vec<PlacedFeature>> for PlacedFeatures {
-    fn from(features: Vec<PlacedFeature>) -> Self {
-        Self { features: features.into(), ..Self::default() }
-    }
-}
 
 /// The features of a layer in a version of the world.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -49,7 +20,8 @@ pub struct Placement {
     pub off: Vec<u32>,
 }
 
-/// Finds the object and the polygons of each feature, as [`place`] does, and separates features that are off their polygons.
+/// Finds the object and the polygons of each feature, as [`place`] does, and separates features that are off their
+/// polygons.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Invalid`] if the layer is not valid, or names the pose of a missing object.
@@ -149,7 +121,7 @@ pub fn apply(world: &mut World, change: Change, restored_too: bool, lost: &[(Str
     if matches!(world.index().kind(), IndexKind::None) {
         *world = world.reindexed(&IndexKind::default());
     }
-    // A change of one feature moves no polygon, so it is checked first, and nothing has to be copied.
+    // A change of one feature moves no polygon, so it is checked first, without a copy.
     if let Change::InsertFeature { class, feature }
     | Change::SetFeature { class, feature }
     | Change::RestoreFeature { class, feature } = &change

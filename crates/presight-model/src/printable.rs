@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-/// Longest quotation of a file's own text in a message, in characters.
+/// Maximum length of a quotation from a file in a message, characters.
 const QUOTED: usize = 60;
 
 /// Escapes unprintable characters, including line breaks, so that a name cannot break a line or control a terminal.

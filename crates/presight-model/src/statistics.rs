@@ -1,4 +1,5 @@
-//! Normal deviates; tails and quantiles of the normal and the chi-squared distribution; medians and quantiles of values.
+//! Normal deviates; tails and quantiles of the normal and the chi-squared distribution; medians and quantiles of
+//! values.
 
 use std::cmp::Ordering;
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
@@ -41,6 +42,9 @@ pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let rank = (share * values.len() as f64).ceil() as usize;
     ranked(values, rank.saturating_sub(1), f64::total_cmp)
 }
+
+/// Bound of the noise of a measurement in standard deviations. Gaussian noise exceeds it once in 1,000 measurements.
+pub const NOISE_BOUND: f64 = 3.3;
 
 /// P(X > x) for a standard normal X.
 #[inline]

@@ -16,7 +16,8 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 ///
 /// [`Threads::new`] starts separate threads. A number refers to threads shared by the whole process: all handles made
 /// from the same number use the same threads, which start on first use and end with the last engine that holds them. A
-/// process that was forked has threads of its own; started handles of its parent are of no use there. 0, the default, means one thread per core (or `RAYON_NUM_THREADS`, if set); these threads are never stopped.
+/// process that was forked has threads of its own; started handles of its parent are of no use there. 0, the default,
+/// means one thread per core (or `RAYON_NUM_THREADS`, if set); these threads are never stopped.
 ///
 /// Functions without a handle, such as [`crate::World::new`] or `features::generate::generate`, use the
 /// threads of [`Threads::run`] if called inside it, otherwise the default threads.
@@ -51,7 +52,7 @@ impl Threads {
         Ok(Self { count, pool: Some(start(count)?) })
     }
 
-    /// The same threads, started. The handle keeps shared threads alive.
+    /// A handle of these threads, started. It keeps shared threads alive.
     ///
     /// # Errors
     /// As [`Threads::new`].
@@ -131,7 +132,8 @@ pub fn parallel_or_here<R: Send>(work: impl FnOnce() -> R + Send) -> R {
     }
 }
 
-/// Runs `main` on a new thread with `stack` bytes, and `meanwhile` on this one. Without threads, `main` runs first.
+/// Runs `main` on a new thread with `stack` bytes, and `meanwhile` on this thread in parallel. Without threads, `main`
+/// runs first.
 ///
 /// # Errors
 /// [`ErrorKind::System`] if the thread cannot be started; then neither runs.
@@ -169,8 +171,8 @@ pub fn in_place_scope<'scope, R>(work: impl FnOnce(&rayon::Scope<'scope>) -> R) 
 
 /// A value that each process makes for itself.
 ///
-/// After a fork the child has its parent's memory, but only the thread that forked: the others are gone, and a lock that one of them held
-/// stays locked. So a child takes a value of its own and never touches the one of its parent.
+/// After a fork the child has its parent's memory, but only the thread that forked: the others are gone, and a lock
+/// that one of them held stays locked. So a child takes a value of its own and never touches the one of its parent.
 #[derive(Debug)]
 pub struct PerProcess<T> {
     /// The process that made the value, and the value.
@@ -193,7 +195,8 @@ impl<T> Default for PerProcess<T> {
 }
 
 impl<T: Default> PerProcess<T> {
-    /// The value of this process. Its default should be quick to make: a fork meanwhile would leave it unmade in the child for ever.
+    /// The value of this process. Its default must be quick to make: after a fork during its construction the child
+    /// would never have it.
     pub fn get(&self) -> &T {
         self.of(this_process())
     }

@@ -1,7 +1,7 @@
 //! Disjoint sets.
 
-/// A partition of the numbers `0..count` into disjoint sets (union-find with path halving: Tarjan and van Leeuwen 1984). The root of a
-/// set stands for it.
+/// A partition of the numbers `0..count` into disjoint sets (union-find with path halving: Tarjan and van Leeuwen
+/// 1984). The root of a set stands for it.
 ///
 /// ```
 /// use presight_model::union_find::UnionFind;
@@ -37,8 +37,8 @@ impl UnionFind {
         self.parents[number as usize] == number
     }
 
-    /// Joins the sets of two numbers. The root is the lower one of their roots; while sets are joined by this method alone, it is the
-    /// lowest number of its set.
+    /// Joins the sets of two numbers. The root is the lower one of their roots; while sets are joined by this method
+    /// alone, it is the lowest number of its set.
     pub fn join(&mut self, a: u32, b: u32) {
         let (a, b) = (self.root(a), self.root(b));
         self.parents[a.max(b) as usize] = a.min(b);

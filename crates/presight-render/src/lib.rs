@@ -1,4 +1,5 @@
-//! Rasterizers: what a frame has to do, the reference, the CPU engine, and the comparison that holds engines to the reference.
+//! Rasterizers: what a frame has to do, the reference, the CPU engine, and the comparison that holds engines to the
+//! reference.
 //!
 //! Use it through the crate `presight`, which gives the same names.
 

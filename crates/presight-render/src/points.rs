@@ -20,8 +20,8 @@ pub enum PointsFrame {
 
 /// The points of a range image, one per pixel, row-major, with the values of other images.
 ///
-/// A point has the values of each existing image of range, echo, object_id and polygon_id. It also has its ring (the row
-/// of the image) unless the sensor is a camera, and a normal if there is a normal image or after
+/// A point has the values of each existing image of range, echo, object_id and polygon_id. It also has its ring (the
+/// row of the image) unless the sensor is a camera, and a normal if there is a normal image or after
 /// [`PointCloud::with_normals`].
 #[derive(Clone, Debug)]
 pub struct PointCloud<'a> {
@@ -127,7 +127,7 @@ impl<'a> PointCloud<'a> {
         }
     }
 
-    /// Positions in the requested frame, metres; NaN where nothing is measured.
+    /// Positions in the requested frame, metres; NaN for pixels without a measurement.
     pub fn positions(&self) -> &[DVec3] {
         &self.positions
     }

@@ -5,6 +5,7 @@ use super::hash::{Hash, of_content};
 use super::line::Line;
 use super::log::LogEntry;
 use super::op::{Key, KeySets, Op};
+use super::proposal::ProposedChange;
 use super::rows::{
     Meta, ObjectRow, feature_hash, group_hash, json, layer_hash, material_hash, material_json, mesh_hash, object_hash,
     pose_text,
@@ -31,7 +32,7 @@ pub struct Note {
     pub time: f64,
     /// The caller's own id for the change. Applying the change again with the same id does nothing.
     pub id: Option<String>,
-    /// What speaks for the change, as JSON; the log keeps it.
+    /// Evidence for the change, as JSON; the log keeps it.
     pub evidence: Option<String>,
 }
 
@@ -51,7 +52,7 @@ pub(super) enum RestoreCheck {
     LetBe,
 }
 
-/// How a change is applied, and its further columns in the log.
+/// Options for applying a change, and its further columns in the log.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Entry {
     /// `Some` if features must lie on polygons.
@@ -164,7 +165,20 @@ impl<'a> Batch<'a> {
     /// As [`Batch::apply`], where restored features must also lie on polygons; [`presight_model::ErrorKind::Invalid`]
     /// if the line is not a valid change.
     pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
-        let Line { cause, id, evidence, was, op } = Line::parse(line)?;
+        self.apply_parsed(Line::parse(line)?, folder, note)
+    }
+
+    /// Applies a proposed change. Relative paths of scene files start at the working folder. Returns its number in the log, and true
+    /// if it is new.
+    ///
+    /// # Errors
+    /// As [`Batch::apply_line`].
+    pub fn apply_proposed(&mut self, change: &ProposedChange, note: &Note) -> Result<(u64, bool)> {
+        self.apply_parsed(change.parsed()?, Path::new("."), note)
+    }
+
+    fn apply_parsed(&mut self, line: Line, folder: &Path, note: &Note) -> Result<(u64, bool)> {
+        let Line { cause, id, evidence, was, op } = line;
         let cause = cause.unwrap_or_else(|| note.cause.clone());
         if let Some(id) = &id
             && let Some(known) = self.store.known(id)?

@@ -177,8 +177,8 @@ pub fn sweep() -> Vec<(Scheme, Params)> {
             if tree { &[SplitAxis::Longest, SplitAxis::Alternating] } else { &[SplitAxis::Longest] };
         for &split_axis in axes {
             for cell_polygons in [4, 8, 16, 32, 64, 128] {
-                for least_cell in [0.0, 1.0] {
-                    let params = Params { least_cell, cell_polygons, split_axis, ..Params::default() };
+                for min_cell in [0.0, 1.0] {
+                    let params = Params { min_cell, cell_polygons, split_axis, ..Params::default() };
                     variants.push((scheme, params));
                 }
             }
@@ -207,7 +207,7 @@ pub fn to_csv(rows: &[Row], poses: usize, seed: Option<u64>) -> String {
             r.returned,
             r.selectivity,
             r.params.cell_polygons,
-            r.params.least_cell,
+            r.params.min_cell,
             r.params.filter,
         );
     }

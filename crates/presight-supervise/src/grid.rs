@@ -5,14 +5,14 @@ use presight_model::error::{Error, Result};
 use presight_predict::virtual_sensors::Corridor;
 use serde::Serialize;
 
-/// Greatest number of cells of a corridor, and of the box around it.
+/// Maximum number of cells of a corridor and of the box around it.
 const MAX_CELLS: f64 = 4_194_304.0;
 
 /// The cells of a corridor: columns of square cells that touch it, each cut into layers. Cells are numbered column by
 /// column, from the lowest layer up.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Cells {
-    /// Least corner of the box around the corridor, in the corridor's frame, metres.
+    /// Minimum corner of the box around the corridor, in the corridor's frame, metres.
     pub origin: [f64; 3],
     /// Side of a cell, metres.
     pub side: f64,
@@ -27,7 +27,7 @@ pub struct Cells {
     /// Columns and rows of the box around the corridor.
     #[serde(skip)]
     size: [usize; 2],
-    /// Number of the column of cells at each place of the box; `u32::MAX` for none.
+    /// Number of the column of cells at each place of the box; `u32::MAX` outside of the corridor.
     #[serde(skip)]
     column_at: Vec<u32>,
 }
@@ -42,9 +42,9 @@ impl Cells {
         if !(side > 0.0 && side.is_finite()) {
             return Err(Error::usage(format!("cells of {side} m"), remedy));
         }
-        let ([least, most], [low, high]) = (corridor.bounds(), corridor.heights());
+        let ([min, max], [low, high]) = (corridor.bounds(), corridor.heights());
         let parts = |length: f64| (length / side - 1e-9).ceil().max(1.0);
-        let (nx, ny, layers) = (parts(most.x - least.x), parts(most.y - least.y), parts(high - low));
+        let (nx, ny, layers) = (parts(max.x - min.x), parts(max.y - min.y), parts(high - low));
         if nx * ny * layers > MAX_CELLS {
             let what = format!("a corridor of {nx} x {ny} x {layers} cells of {side} m");
             return Err(Error::usage(what, "give a shorter corridor or larger cells"));
@@ -53,11 +53,11 @@ impl Cells {
         let (mut columns, mut along, mut column_at) = (Vec::new(), Vec::new(), vec![u32::MAX; size[0] * size[1]]);
         for row in 0..size[1] {
             for column in 0..size[0] {
-                // Nine points that reach from edge to edge, a hair inside so that a neighbour's edge does not count.
+                // Nine points from edge to edge, slightly inside, so that contact with a neighbour's edge is ignored.
                 let offsets = [1e-6, 0.5, 1.0 - 1e-6];
                 let points = offsets.iter().flat_map(|x| offsets.iter().map(move |y| DVec2::new(*x, *y)));
                 let at = DVec2::new(column as f64, row as f64);
-                let arcs = points.filter_map(|p| corridor.arc_length_from_above(least + side * (at + p)));
+                let arcs = points.filter_map(|p| corridor.arc_length_from_above(min + side * (at + p)));
                 if let Some(arc) = arcs.reduce(f64::min) {
                     column_at[row * size[0] + column] = columns.len() as u32;
                     columns.push([column as u32, row as u32]);
@@ -66,7 +66,7 @@ impl Cells {
             }
         }
         let layer_height = (high - low) / layers;
-        let origin = least.extend(low).to_array();
+        let origin = min.extend(low).to_array();
         Ok(Self { origin, side, layer_height, layers: layers as usize, columns, along, size, column_at })
     }
 
@@ -84,7 +84,7 @@ impl Cells {
     pub fn cell_at(&self, p: DVec3) -> Option<usize> {
         let at = (p - DVec3::from(self.origin)) / self.extent();
         let inside = at.cmpge(DVec3::ZERO).all() && at.x < self.size[0] as f64 && at.y < self.size[1] as f64;
-        // The upper end belongs to the last layer.
+        // The upper boundary belongs to the last layer.
         if !(inside && at.z <= self.layers as f64) {
             return None;
         }

@@ -1,29 +1,30 @@
-//! Looking at the cells of a corridor with one sensor.
+//! The view of one sensor on the cells of a corridor.
 
 use super::grid::Cells;
-use super::pixels::{BOUND, Readings};
+use super::pixels::Readings;
 use super::rays::SensorRays;
-use super::report::UnseenReason;
+use super::state::UnseenReason;
 use super::windows::{Windows, level_and_step};
 use presight_model::geometry::Pose;
+use presight_model::statistics::NOISE_BOUND;
 use std::f32::consts::FRAC_1_SQRT_2;
 
-/// Largest number of pixels along a side of a window.
-const WIDEST: f32 = 255.0;
+/// Maximum number of pixels along a side of a window.
+const MAX_SIDE: f32 = 255.0;
 
-/// What one sensor shows of a cell.
+/// The view of one sensor on a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
-    /// `None` if it is free.
+pub struct CellView {
+    /// `None` if the cell is free.
     pub unseen: Option<UnseenReason>,
-    /// `None` if a ray reaches its middle.
+    /// `None` if a ray reaches the centre.
     pub hidden: Option<UnseenReason>,
 }
 
-/// A corner of cells as the sensor sees it.
+/// The image of a corner of cells.
 #[derive(Clone, Copy)]
 struct Corner {
-    /// Column and row; NaN where the sensor images nothing.
+    /// Column and row; NaN outside of the image.
     place: [f32; 2],
     /// Metres from the sensor.
     distance: f32,
@@ -31,15 +32,16 @@ struct Corner {
     above: f32,
 }
 
-/// A place of the image, and what rays through it have to show.
+/// The image of a cell.
 struct Patch {
-    /// Least and greatest column and row.
+    /// Range of columns.
     columns: [f32; 2],
+    /// Range of rows.
     rows: [f32; 2],
-    /// Metres that rays have to pass.
+    /// Distance beyond which rays must reach, metres.
     far: f32,
-    /// Metres between rays there, across and down.
-    apart: [f32; 2],
+    /// Distance between rays there, across and down, metres.
+    spacing: [f32; 2],
 }
 
 /// One sensor's view of the cells.
@@ -49,7 +51,7 @@ pub struct SensorView<'a> {
     windows: Windows<'a>,
     cells: &'a Cells,
     sensor_from_corridor: Pose,
-    /// Deviation of the corridor's place relative to the sensor, metres and radians.
+    /// Standard deviation of the corridor's pose relative to the sensor, metres and radians.
     uncertainty: [f64; 2],
     smallest: f32,
     is_upright: bool,
@@ -71,25 +73,25 @@ impl<'a> SensorView<'a> {
         Self { rays, readings, windows, cells, sensor_from_corridor, uncertainty, smallest, is_upright, corners }
     }
 
-    /// Looks at a cell.
-    pub fn look(&mut self, cell: usize) -> Look {
+    /// The view on a cell.
+    pub fn cell(&mut self, cell: usize) -> CellView {
         let corners = self.cells.corners(cell).map(|number| self.corner(number));
         let fold =
             |of: fn(&Corner) -> f32, f: fn(f32, f32) -> f32| corners.iter().map(of).reduce(f).unwrap_or(f32::NAN);
         let (above, below) = (fold(|c| c.above, f32::max), fold(|c| c.above, f32::min));
-        let out = Look { unseen: Some(UnseenReason::OutOfView), hidden: Some(UnseenReason::OutOfView) };
-        // A row meets a cell only where it cuts it.
+        let out = CellView { unseen: Some(UnseenReason::OutOfView), hidden: Some(UnseenReason::OutOfView) };
+        // A single row only sees cells that it intersects.
         if self.rays.only_row.is_some() && !(above >= 0.0 && below <= 0.0) {
             return out;
         }
         let hidden = self.hidden(cell);
-        let Some(patch) = self.patch(&corners) else { return Look { hidden, ..out } };
+        let Some(patch) = self.patch(&corners) else { return CellView { hidden, ..out } };
         let leaves_gap = self.rays.only_row.is_some() && !self.is_upright && above.max(-below) >= self.smallest;
         let unseen = match self.window_size(&patch).filter(|_| !leaves_gap) {
             Some(size) => self.blocked(&patch, size).map(|why| hidden.unwrap_or(why)),
             None => Some(hidden.unwrap_or(UnseenReason::BetweenRays)),
         };
-        Look { unseen, hidden }
+        CellView { unseen, hidden }
     }
 
     fn corner(&mut self, number: usize) -> Corner {
@@ -102,7 +104,7 @@ impl<'a> SensorView<'a> {
         *self.corners[number].insert(Corner { place, distance: p.length() as f32, above })
     }
 
-    /// Why no ray reaches the middle of a cell; `None` if one does.
+    /// The reason why no ray reaches the centre of a cell; `None` if a ray does.
     fn hidden(&self, cell: usize) -> Option<UnseenReason> {
         let p = self.sensor_from_corridor.transform_point(self.cells.middle(cell));
         let Some(at) = self.rays.project(p).and_then(|place| self.rays.pixel(place)) else {
@@ -111,7 +113,7 @@ impl<'a> SensorView<'a> {
         (f64::from(self.readings.measured[at]) <= p.length()).then_some(self.readings.behind[at])
     }
 
-    /// Where a cell is in the image; `None` if it is not wholly before the sensor.
+    /// The image of a cell; `None` if a part of the cell is outside.
     fn patch(&self, corners: &[Corner; 8]) -> Option<Patch> {
         let turn = self.rays.is_closed.then_some(self.rays.width as f32);
         let first = corners[0].place[0];
@@ -128,7 +130,7 @@ impl<'a> SensorView<'a> {
             (columns, rows) = ([columns[0].min(u), columns[1].max(u)], [rows[0].min(v), rows[1].max(v)]);
             far = far.max(corner.distance);
         }
-        // Around the axis of a scanner all columns meet.
+        // All columns of a scanner meet at its axis.
         if turn.is_some_and(|turn| columns[1] - columns[0] > 0.5 * turn) {
             return None;
         }
@@ -136,32 +138,33 @@ impl<'a> SensorView<'a> {
         let limits = [self.rays.width, self.rays.height].map(|n| n as f32 - 1.0);
         let nearest = |i: usize| if i == 0 && turn.is_some() { middle[i] } else { middle[i].clamp(0.0, limits[i]) };
         let spacing = self.rays.spacing[self.rays.pixel([nearest(0), nearest(1)])?];
-        let off = (BOUND * (self.uncertainty[0] + self.uncertainty[1] * f64::from(far))) as f32;
+        let off = (NOISE_BOUND * (self.uncertainty[0] + self.uncertainty[1] * f64::from(far))) as f32;
         far += off;
-        let apart = [far * spacing[0], if self.rays.only_row.is_some() { 0.0 } else { far * spacing[1] }];
+        let spacing = [far * spacing[0], if self.rays.only_row.is_some() { 0.0 } else { far * spacing[1] }];
         if off > 0.0 {
-            let by = apart.map(|apart| if apart > 0.0 { off / apart } else { 0.0 });
+            let by = spacing.map(|spacing| if spacing > 0.0 { off / spacing } else { 0.0 });
             (columns, rows) = ([columns[0] - by[0], columns[1] + by[0]], [rows[0] - by[1], rows[1] + by[1]]);
         }
-        Some(Patch { columns, rows, far, apart })
+        Some(Patch { columns, rows, far, spacing })
     }
 
-    /// Pixels across and down that every disc as wide as the smallest intruder holds: their diagonal is no longer than it
-    /// is wide. `None` if these are fewer than two.
+    /// Size in pixels of the largest window that fits into a disc as wide as the smallest intruder. `None` for a window
+    /// with less than two pixels.
     fn window_size(&self, patch: &Patch) -> Option<[usize; 2]> {
-        let [across, down] = patch.apart;
+        let [across, down] = patch.spacing;
         let rows = match (FRAC_1_SQRT_2 * self.smallest / down).floor() {
             _ if self.rays.only_row.is_some() => 1.0,
-            rows if rows >= 1.0 => rows.min(WIDEST),
+            rows if rows >= 1.0 => rows.min(MAX_SIDE),
             _ if down < self.smallest => 1.0,
             _ => return None,
         };
         let left = self.smallest * self.smallest - (rows * down) * (rows * down);
-        let columns = (left.max(0.0).sqrt() / across).floor().min(WIDEST);
+        let columns = (left.max(0.0).sqrt() / across).floor().min(MAX_SIDE);
         (columns >= 1.0 && rows * columns >= 2.0).then_some([columns as usize, rows as usize])
     }
 
-    /// Why rays do not pass a part of a patch; `None` if two rays pass in every window with its middle in the patch.
+    /// The reason why rays do not pass a part of a patch; `None` if two rays pass in every window whose centre is in
+    /// the patch.
     fn blocked(&mut self, patch: &Patch, [across, down]: [usize; 2]) -> Option<UnseenReason> {
         let ((a, step_u), (b, step_v)) = (level_and_step(across), level_and_step(down));
         let starts = |[from, to]: [f32; 2], size: usize| {
@@ -188,7 +191,7 @@ impl<'a> SensorView<'a> {
         }
     }
 
-    /// Why rays of a window do not pass: the reason of the first that does not.
+    /// The reason of the first ray of a window that does not pass.
     fn why(&self, [u, v]: [i64; 2], [across, down]: [i64; 2], far: f32) -> UnseenReason {
         let pixels = (v..v + down).flat_map(|v| (u..u + across).map(move |u| [u as f32, v as f32]));
         let blocked = |place| match self.rays.pixel(place) {

@@ -1,23 +1,21 @@
-//! What each pixel of a frame says of its ray.
+//! The distances to which the rays of a frame are free.
 
 use super::rays::SensorRays;
-use super::report::UnseenReason;
+use super::state::UnseenReason;
 use presight_localize::verdict::{ExpectedImage, Verdict, Verdicts};
 use presight_model::measured::{Frame, RangeNoise};
-
-/// Deviates within which a measurement is taken to lie: 1 of 1,000 Gaussian ones does not.
-pub const BOUND: f64 = 3.3;
+use presight_model::statistics::NOISE_BOUND;
 
 /// A frame compared with its prediction.
 pub struct Comparison {
     pub expected: ExpectedImage,
     pub verdicts: Verdicts,
-    /// Pixels without a prediction because of a deadline; empty if there are none.
+    /// True for pixels without a prediction because of a deadline; empty without such pixels.
     pub given_up: Vec<bool>,
 }
 
 impl Comparison {
-    /// What a pixel says of the prediction; `None` if there is nothing to compare with because of a deadline.
+    /// The verdict of a pixel on the prediction; `None` without a prediction because of a deadline.
     pub fn verdict(&self, at: usize) -> Option<Verdict> {
         (!self.given_up.get(at).copied().unwrap_or(false)).then(|| self.verdicts.pixels[at])
     }
@@ -25,11 +23,11 @@ impl Comparison {
 
 /// The readings of a frame.
 pub struct Readings {
-    /// Metres to which each ray passed for sure; 0 if that is not known.
+    /// Distance to which each ray is certainly free, metres; 0 if unknown.
     pub through: Vec<f32>,
-    /// Metres to which each ray passed as measured; 0 if that is not known.
+    /// Measured free distance of each ray, metres; 0 if unknown.
     pub measured: Vec<f32>,
-    /// Why what lies farther along each ray is not seen.
+    /// The reason why each ray sees no farther.
     pub behind: Vec<UnseenReason>,
 }
 
@@ -45,7 +43,7 @@ impl Readings {
             let verdict = comparison.map(|c| c.verdict(i));
             readings.behind.push(match verdict {
                 _ if rays.rays[i].is_nan() => UnseenReason::OutOfView,
-                // Nothing was expected within reach, so that no return does not mean a black surface.
+                // No surface is expected within reach, so a missing return does not indicate a black surface.
                 Some(Some(Verdict::Beyond)) if *z == f32::INFINITY => UnseenReason::OutOfView,
                 _ if z.is_nan() || *z == f32::INFINITY => UnseenReason::NoReturn,
                 Some(None) => UnseenReason::Deadline,
@@ -54,7 +52,7 @@ impl Readings {
             });
             if z.is_finite() {
                 readings.measured[i] = *z;
-                readings.through[i] = z - (BOUND * noise.range_sigma(f64::from(*z))) as f32;
+                readings.through[i] = z - (NOISE_BOUND * noise.range_sigma(f64::from(*z))) as f32;
             } else if readings.behind[i] == UnseenReason::OutOfView && *z == f32::INFINITY {
                 (readings.measured[i], readings.through[i]) = (reach, reach);
             }
@@ -63,13 +61,13 @@ impl Readings {
         readings
     }
 
-    /// A pixel at the edge of something unknown may mix its distance with that of what lies behind it. Only inside of a
-    /// region of unknown pixels is a ray surely seen through, and no farther than its neighbours.
+    /// A pixel at the edge of an unknown object may mix its distance with that of the background. Therefore a ray is
+    /// certainly free only inside a region of unknown pixels, and no farther than its neighbours.
     fn distrust_edges(&mut self, rays: &SensorRays) {
         let trusted = self.through.clone();
         for at in (0..trusted.len()).filter(|at| self.behind[*at] == UnseenReason::BehindUnknown) {
-            self.through[at] = rays.around(at).fold(trusted[at], |least, next| {
-                if self.behind[next] == UnseenReason::BehindUnknown { least.min(trusted[next]) } else { 0.0 }
+            self.through[at] = rays.around(at).fold(trusted[at], |nearest, next| {
+                if self.behind[next] == UnseenReason::BehindUnknown { nearest.min(trusted[next]) } else { 0.0 }
             });
         }
     }

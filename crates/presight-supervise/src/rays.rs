@@ -8,7 +8,7 @@ pub struct SensorRays {
     pub sensor: Sensor,
     pub width: usize,
     pub height: usize,
-    /// Unit rays, row by row; NaN where there is none.
+    /// Unit rays, row by row; NaN for a pixel without a ray.
     pub rays: Vec<Vec3>,
     /// The larger angle to the neighbours in the row and in the column, radians; infinite without a neighbour.
     pub spacing: Vec<[f32; 2]>,
@@ -43,7 +43,7 @@ impl SensorRays {
         }
     }
 
-    /// Column and row of a point in the sensor's body axes; `None` where the sensor images nothing.
+    /// Column and row of a point in the sensor's body axes; `None` outside of the image.
     pub fn project(&self, p: DVec3) -> Option<[f32; 2]> {
         let (u, v) = self.sensor.project_nearly((self.image_from_body * p).as_vec3())?;
         if !(u.is_finite() && v.is_finite()) {
@@ -92,7 +92,7 @@ fn spacing_at(rays: &[Vec3], [width, height]: [usize; 2], i: usize, is_closed: b
     let after = if column + 1 < width { Some(i + 1) } else { is_closed.then(|| i + 1 - width) };
     let above = (row > 0).then(|| i - width);
     let below = (row + 1 < height).then(|| i + width);
-    // A neighbour that is missing is skipped by `max`, and both missing leave NaN.
+    // `max` ignores one missing neighbour.
     let larger = |a: f32, b: f32| if a.is_nan() && b.is_nan() { f32::INFINITY } else { a.max(b) };
     [larger(to(before), to(after)), larger(to(above), to(below))]
 }

@@ -1,116 +1,42 @@
-//! What supervision reports of a frame.
+//! The report of supervision.
 
-use super::Intrusion;
-use serde::Serialize;
-
-/// Why a cell is not seen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum UnseenReason {
-    /// Outside of the image, or beyond the sensor's reach.
-    OutOfView,
-    /// Behind a surface of the model.
-    BehindKnown,
-    /// Behind something that is not in the model.
-    BehindUnknown,
-    /// No return where there should be one: dirt, a black or a shining surface.
-    NoReturn,
-    /// The rays leave gaps as wide as the smallest intruder.
-    BetweenRays,
-    /// Not looked at before the deadline.
-    Deadline,
-    /// The corridor is in the world, and the robot's pose is not known.
-    NoPose,
-}
-
-impl UnseenReason {
-    /// All of them, in the order of [`CellCounts::unseen`].
-    pub const ALL: [Self; 7] = [
-        Self::OutOfView,
-        Self::BehindKnown,
-        Self::BehindUnknown,
-        Self::NoReturn,
-        Self::BetweenRays,
-        Self::Deadline,
-        Self::NoPose,
-    ];
-
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::OutOfView => "out_of_view",
-            Self::BehindKnown => "behind_known",
-            Self::BehindUnknown => "behind_unknown",
-            Self::NoReturn => "no_return",
-            Self::BetweenRays => "between_rays",
-            Self::Deadline => "deadline",
-            Self::NoPose => "no_pose",
-        }
-    }
-
-    /// The letter of a cell in files.
-    pub fn letter(self) -> char {
-        ['o', 'b', 'u', 'n', 'r', 'd', 'p'][self as usize]
-    }
-}
-
-/// The state of a cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CellState {
-    /// Rays passed through it that leave no gap as wide as the smallest intruder.
-    Free,
-    /// A surface of the model is in it, and was confirmed: the object's index.
-    Known(u32),
-    /// Part of an intrusion is in it.
-    Intruded,
-    /// None of these.
-    Unseen(UnseenReason),
-}
-
-impl CellState {
-    /// The letter in files: `f` free, `k` known, `i` intruded, others as [`UnseenReason::letter`].
-    pub fn letter(self) -> char {
-        match self {
-            Self::Free => 'f',
-            Self::Known(_) => 'k',
-            Self::Intruded => 'i',
-            Self::Unseen(reason) => reason.letter(),
-        }
-    }
-}
+use super::intruders::Intrusion;
+use super::state::CellState;
 
 /// Number of cells of each state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CellCounts {
-    /// Seen through.
+    /// Free.
     pub free: usize,
     /// With a confirmed surface of the model.
     pub known: usize,
     /// With a part of an intrusion.
     pub intruded: usize,
-    /// Not seen, by reason, in the order of [`UnseenReason::ALL`].
+    /// Not seen, by reason, in the order of [`UnseenReason::ALL`](super::UnseenReason::ALL).
     pub unseen: [usize; 7],
 }
 
-/// What supervision reports of the frames of one time.
+/// The report on the frames of one stamp.
 #[derive(Clone, Debug)]
 pub struct Report {
     /// Seconds, as in the frame.
     pub stamp: f64,
-    /// By cell, numbered as in [`super::Cells`].
+    /// States by cell, numbered as in [`super::Cells`].
     pub cells: Vec<CellState>,
-    /// Shares of the corridor's volume whose middle of a cell no ray reaches, by reason in the order of
-    /// [`UnseenReason::ALL`]. Gaps between rays do not count here.
+    /// Shares of the corridor's volume in cells whose centre no ray reaches, by reason in the order of
+    /// [`UnseenReason::ALL`](super::UnseenReason::ALL). Gaps between rays are ignored here.
     pub hidden: [f64; 7],
-    /// What stands in the corridor and is not in the model there, the first along the way first.
+    /// Unknown objects in the corridor, by distance along it.
     pub intrusions: Vec<Intrusion>,
-    /// Seconds until the first intrusion is reached at the speed of the options; `None` without one, or at speed 0.
+    /// Time until the first intrusion is reached at the speed of the options, seconds; `None` without an intrusion, or
+    /// at speed 0.
     pub time_to_reach: Option<f64>,
-    /// False if the pose was not known well enough to compare with the model: all surfaces count as intrusions.
+    /// False without a pose. All surfaces are then reported as intrusions, because they cannot be compared with the
+    /// model.
     pub is_compared: bool,
-    /// True if it was assumed that what stands in the corridor reaches the heights that were seen.
+    /// True if objects in the corridor are assumed to reach the heights that the sensors see.
     pub is_upright_assumed: bool,
-    /// True if the deadline ended the work early.
+    /// True if the deadline ended the evaluation early.
     pub is_given_up: bool,
 }
 

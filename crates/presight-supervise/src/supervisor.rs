@@ -1,11 +1,13 @@
 //! Supervision of a corridor, frame by frame.
 
 use super::grid::Cells;
-use super::intruders::{CorridorPoint, Search, deviation};
-use super::look::{Look, SensorView};
+use super::intruders::{CorridorPoint, Intrusion, Search, deviation};
+use super::look::{CellView, SensorView};
+use super::options::SuperviseOptions;
 use super::pixels::{Comparison, Readings};
 use super::rays::SensorRays;
-use super::report::{CellState, Report, UnseenReason};
+use super::report::Report;
+use super::state::{CellState, UnseenReason};
 use presight_localize::verdict::{ExpectedImage, Surfaces, Verdict, judge};
 use presight_model::clock::Instant;
 use presight_model::error::{Error, ErrorKind, Result};
@@ -20,90 +22,9 @@ use presight_render::plan::{Output, Outputs};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// How a [`Supervisor`] works.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct SuperviseOptions {
-    /// Side of the cells, metres.
-    pub cell: f64,
-    /// Width of the smallest intruder that a free cell must not hide, metres.
-    pub smallest: f64,
-    /// Assume that what stands in the corridor reaches the heights that the sensor sees, as safety scanners do.
-    pub is_upright: bool,
-    /// Speed of the robot along the corridor, metres per second.
-    pub speed: f64,
-    /// Standard deviation of the model's surfaces along their normals, metres.
-    pub model_sigma: f64,
-    /// Largest expected number of intrusions that chance makes in a frame.
-    pub false_alarms: f64,
-    /// Share of readings that are arbitrary: neither right within the noise, nor mixed at an edge of the model.
-    pub arbitrary_readings: f64,
-    /// Time for a frame; `None` for no limit.
-    pub deadline: Option<Duration>,
-}
-
-impl Default for SuperviseOptions {
-    fn default() -> Self {
-        Self {
-            cell: 0.1,
-            smallest: 0.07,
-            is_upright: false,
-            speed: 0.0,
-            model_sigma: 0.0,
-            false_alarms: 1e-4,
-            arbitrary_readings: 1e-3,
-            deadline: None,
-        }
-    }
-}
-
-presight_model::with_options!(
-    SuperviseOptions:
-    with_cell cell: f64,
-    with_smallest smallest: f64,
-    with_upright is_upright: bool,
-    with_speed speed: f64,
-    with_model_sigma model_sigma: f64,
-    with_false_alarms false_alarms: f64,
-    with_arbitrary_readings arbitrary_readings: f64,
-    with_deadline deadline: Option<Duration>,
-);
-
-impl SuperviseOptions {
-    /// Checks all values.
-    ///
-    /// # Errors
-    /// [`ErrorKind::Usage`] naming the first that is out of range.
-    pub fn check(&self) -> Result<()> {
-        let positive = |x: f64| x > 0.0 && x.is_finite();
-        let not_negative = |x: f64| x >= 0.0 && x.is_finite();
-        for (name, value, is_sound, remedy) in [
-            ("cell", self.cell, positive(self.cell), "give metres above 0"),
-            ("smallest", self.smallest, positive(self.smallest), "give metres above 0"),
-            ("speed", self.speed, not_negative(self.speed), "give metres per second of at least 0"),
-            ("model_sigma", self.model_sigma, not_negative(self.model_sigma), "give metres of at least 0"),
-            ("false_alarms", self.false_alarms, positive(self.false_alarms), "give a number above 0"),
-            (
-                "arbitrary_readings",
-                self.arbitrary_readings,
-                (0.0..=1.0).contains(&self.arbitrary_readings),
-                "give a share of 0 to 1",
-            ),
-        ] {
-            if !is_sound {
-                return Err(Error::usage(format!("{name} of {value}"), remedy));
-            }
-        }
-        match self.deadline {
-            Some(deadline) if deadline.is_zero() => Err(Error::usage("a deadline of 0", "give a time above 0")),
-            _ => Ok(()),
-        }
-    }
-}
-
 /// Supervises a corridor. It is not a safety device.
 ///
-/// A scanner looks along an empty corridor of a room; then a box stands in it.
+/// A scanner supervises an empty corridor of a room. Then a box stands in it.
 /// ```
 /// use presight::environment::Environment;
 /// use presight::simulate::{Disturbances, Simulator};
@@ -137,21 +58,24 @@ pub struct Supervisor {
     corridor: Corridor,
     options: SuperviseOptions,
     cells: Cells,
-    /// Cells, the nearest along the corridor first.
+    /// Cells by distance along the corridor.
     order: Vec<u32>,
     rays: Vec<SensorRays>,
     surfaces: Surfaces,
 }
 
-/// Cells between two looks at the clock.
-const BETWEEN_LOOKS: usize = 64;
+/// Maximum number of sensors whose rays are remembered.
+const MAX_SENSORS: usize = 8;
+/// Number of cells between two readings of the clock.
+const CLOCK_INTERVAL: usize = 64;
 
-/// What one sensor contributes.
+/// The contribution of one sensor.
 struct Seen {
-    looks: Vec<Option<Look>>,
+    /// By cell; `None` for a cell that the deadline left out.
+    views: Vec<Option<CellView>>,
     known: BTreeMap<usize, u32>,
     intruded: Vec<usize>,
-    intrusions: Vec<super::Intrusion>,
+    intrusions: Vec<Intrusion>,
 }
 
 impl Supervisor {
@@ -180,8 +104,8 @@ impl Supervisor {
         &self.corridor
     }
 
-    /// Supervises the corridor by what the robot's sensors measured at one time. Without a pose of the robot, a
-    /// measurement cannot be compared with the model: every surface in the corridor is an intrusion.
+    /// Supervises the corridor by the frames of the robot's sensors at one time. Without a pose of the robot, frames
+    /// cannot be compared with the model, and every surface in the corridor is an intrusion.
     ///
     /// # Errors
     /// [`ErrorKind::Usage`] without a frame and for a frame without ranges; [`ErrorKind::Invalid`] for an invalid
@@ -222,7 +146,7 @@ impl Supervisor {
         self.options.deadline.map(|deadline| deadline.saturating_sub(start.elapsed()))
     }
 
-    /// What one sensor shows.
+    /// The contribution of one sensor.
     fn see(
         &mut self,
         predictor: &mut Predictor,
@@ -262,15 +186,15 @@ impl Supervisor {
         let (points, in_view) = self.points(&search, &corridor_from_robot);
         let mut seen = self.find(&search, &points, in_view);
         for (k, cell) in self.order.iter().enumerate() {
-            if k % BETWEEN_LOOKS == 0 && self.time_left(start).is_some_and(|left| left.is_zero()) {
+            if k % CLOCK_INTERVAL == 0 && self.time_left(start).is_some_and(|left| left.is_zero()) {
                 break;
             }
-            seen.looks[*cell as usize] = Some(view.look(*cell as usize));
+            seen.views[*cell as usize] = Some(view.cell(*cell as usize));
         }
         Ok(seen)
     }
 
-    /// Predicts what the sensor should measure, and judges each pixel.
+    /// Predicts the frame of a sensor, and judges each pixel.
     fn compare(
         &mut self,
         predictor: &mut Predictor,
@@ -285,7 +209,7 @@ impl Supervisor {
         let expected = match self.options.deadline {
             None => ExpectedImage::predict(predictor, world, surfaces, sensor, &robot.world_from_robot)?,
             Some(deadline) => {
-                // Half of the time is left for looking at the cells.
+                // Half of the time is reserved for the cells.
                 let left = deadline.saturating_sub(start.elapsed()).max(Duration::from_micros(2)) / 2;
                 let request = Request::of(Outputs::of(&[Output::Range, Output::PolygonId])).with_deadline(left);
                 let predicted = match predictor.predict(world, sensor, &world_from_sensor, &request) {
@@ -303,12 +227,12 @@ impl Supervisor {
         Ok(Comparison { expected, verdicts, given_up })
     }
 
-    /// The rays of a frame's sensor, from memory if it was seen before.
+    /// The index of the rays of a frame's sensor, which are remembered.
     fn rays_of(&mut self, frame: &Frame) -> usize {
         let known = self.rays.iter().position(|rays| rays.sensor.spec() == frame.sensor().spec());
         known.unwrap_or_else(|| {
-            // Each scan of points has a sensor of its own: not all of them are kept.
-            if self.rays.len() >= 8 {
+            // Each scan of points has its own sensor, so the number is limited.
+            if self.rays.len() >= MAX_SENSORS {
                 self.rays.clear();
             }
             self.rays.push(SensorRays::new(frame.sensor()));
@@ -316,7 +240,7 @@ impl Supervisor {
         })
     }
 
-    /// Measured points in the corridor, and see [`Supervisor::chances`].
+    /// Measured points in the corridor, and the number of pixels whose arbitrary readings lie in it.
     fn points(&self, search: &Search<'_>, corridor_from_robot: &Pose) -> (Vec<CorridorPoint>, f64) {
         let mount = search.rays.sensor.spec().mount;
         let corridor_from_sensor = *corridor_from_robot * mount;
@@ -332,8 +256,9 @@ impl Supervisor {
         (points, self.chances(search.rays, &corridor_from_sensor.inverse()))
     }
 
-    /// Number of pixels whose arbitrary readings lie in the corridor: the sum over the cells of the rays that cross each,
-    /// times the part of their way in it. Readings are taken to be even between the sensor and the cell, or a metre.
+    /// Expected number of pixels whose arbitrary readings lie in the corridor: the sum over all cells of the rays
+    /// through the cell, times the share of their length in it. Arbitrary readings are uniform between the sensor and
+    /// the cell, or over at least a metre.
     fn chances(&self, rays: &SensorRays, sensor_from_corridor: &Pose) -> f64 {
         let (side, height) = (self.cells.side, self.cells.layer_height);
         let each = (0..self.cells.count()).filter_map(|cell| {
@@ -351,7 +276,7 @@ impl Supervisor {
         each.filter(|count| count.is_finite()).sum::<f64>().clamp(1.0, rays.rays.len() as f64)
     }
 
-    /// Known cells and intrusions.
+    /// Cells with confirmed surfaces, and intrusions.
     fn find(&self, search: &Search<'_>, points: &[CorridorPoint], in_view: f64) -> Seen {
         let mut known = BTreeMap::new();
         let mut found = QueryResult::default();
@@ -371,30 +296,30 @@ impl Supervisor {
             intrusion.object = search.same_as(&intrusion, &missing, 2.0 * self.options.smallest);
             intrusions.push(intrusion);
         }
-        Seen { looks: vec![None; self.cells.count()], known, intruded, intrusions }
+        Seen { views: vec![None; self.cells.count()], known, intruded, intrusions }
     }
 
-    /// One report of all sensors. `otherwise` is why a cell is unseen that no sensor looked at.
+    /// One report of all sensors. `otherwise` is the reason for cells that no sensor evaluated.
     fn merged(&self, stamp: f64, seen: &[Seen], otherwise: UnseenReason) -> Report {
         let mut hidden = [0.0; 7];
         let share = 1.0 / self.cells.count().max(1) as f64;
         let mut cells: Vec<CellState> = (0..self.cells.count())
             .map(|cell| {
-                let reasons = |of: fn(&Look) -> Option<UnseenReason>| {
-                    let each = seen.iter().map(|s| s.looks[cell].map_or(Some(otherwise), |look| of(&look)));
+                let reasons = |of: fn(&CellView) -> Option<UnseenReason>| {
+                    let each = seen.iter().map(|s| s.views[cell].map_or(Some(otherwise), |view| of(&view)));
                     best(each).unwrap_or(Some(otherwise))
                 };
-                if let Some(reason) = reasons(|look| look.hidden) {
+                if let Some(reason) = reasons(|view| view.hidden) {
                     hidden[reason as usize] += share;
                 }
-                reasons(|look| look.unseen).map_or(CellState::Free, CellState::Unseen)
+                reasons(|view| view.unseen).map_or(CellState::Free, CellState::Unseen)
             })
             .collect();
         for seen in seen {
             seen.known.iter().for_each(|(cell, object)| cells[*cell] = CellState::Known(*object));
         }
         seen.iter().flat_map(|s| &s.intruded).for_each(|cell| cells[*cell] = CellState::Intruded);
-        let is_given_up = seen.iter().any(|s| s.looks.iter().any(Option::is_none));
+        let is_given_up = seen.iter().any(|s| s.views.iter().any(Option::is_none));
         if self.options.is_upright {
             self.assume_upright(&mut cells);
         }
@@ -406,7 +331,7 @@ impl Supervisor {
         Report { stamp, cells, hidden, intrusions, time_to_reach, is_compared: true, is_upright_assumed, is_given_up }
     }
 
-    /// All cells of a column get the state of one of them: intruded, known, free, or a reason why all are unseen.
+    /// Gives all cells of a column the state of one cell: intruded, else known, else free, else unseen for a reason.
     fn assume_upright(&self, cells: &mut [CellState]) {
         let rank = |cell: &CellState| match cell {
             CellState::Intruded => 0,
@@ -423,7 +348,7 @@ impl Supervisor {
     }
 }
 
-/// What the sensor that sees most shows: nothing that hides, else the first reason but being out of view.
+/// The reason of the sensor with the best view: none, else the first reason other than out of view.
 fn best(each: impl Iterator<Item = Option<UnseenReason>>) -> Option<Option<UnseenReason>> {
     each.min_by_key(|reason| match reason {
         None => 0,

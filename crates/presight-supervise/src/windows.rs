@@ -1,12 +1,12 @@
-//! How far rays were seen through in windows of an image, by the second farthest ray of each.
+//! Free distances in windows of an image, by the second farthest ray of each window.
 //!
-//! A single ray decides nothing: a pixel at an edge mixes two distances and pretends to pass the nearer.
+//! A single ray is not evidence, because a pixel at an edge mixes two distances and seems to pass the nearer one.
 
 use std::collections::HashMap;
 
 /// Windows of 2^a x 2^b pixels over an image.
 pub struct Windows<'a> {
-    /// Metres to which each ray was seen through; 0 for no knowledge.
+    /// Free distance of each ray, metres; 0 if unknown.
     through: &'a [f32],
     width: usize,
     height: usize,
@@ -14,14 +14,14 @@ pub struct Windows<'a> {
     levels: HashMap<[u32; 2], Level>,
 }
 
-/// The farthest and the second farthest of the window that begins at each pixel.
+/// The farthest and the second farthest ray of the window that begins at each pixel.
 struct Level {
     first: Vec<f32>,
     second: Vec<f32>,
 }
 
-/// The sizes of windows for a number of pixels: a power of two, and the step between windows with which every stretch of
-/// this number of pixels holds a whole window.
+/// The size of windows for a number of pixels: the exponent of a power of two, and the step between windows with which
+/// every interval of this number of pixels contains a complete window.
 pub fn level_and_step(pixels: usize) -> (u32, usize) {
     let level = match pixels {
         0 | 1 => 0,
@@ -38,7 +38,7 @@ impl<'a> Windows<'a> {
         Self { through, width, height, is_closed, levels }
     }
 
-    /// Distance to which at least two rays of a window were seen through, metres. The window may begin outside.
+    /// Distance to which at least two rays of a window are free, metres. The window may begin outside of the image.
     pub fn second(&mut self, level: [u32; 2], column: i64, row: i64) -> f32 {
         let column = if self.is_closed { column.rem_euclid(self.width as i64) } else { column };
         if column >= self.width as i64 || row >= self.height as i64 {
@@ -70,7 +70,7 @@ impl<'a> Windows<'a> {
         if self.levels.contains_key(&[a, b]) {
             return;
         }
-        // Halves along the wider side.
+        // The two halves along the longer side.
         let (half, by) =
             if a >= b { ([a - 1, b], [1usize << (a - 1), 0]) } else { ([a, b - 1], [0, 1usize << (b - 1)]) };
         self.build(half);
@@ -130,12 +130,12 @@ mod tests {
     }
 
     #[test]
-    fn every_stretch_holds_a_whole_window() {
+    fn every_interval_contains_a_window() {
         for pixels in 1..200usize {
             let (level, step) = level_and_step(pixels);
             let window = 1usize << level;
             assert!(window <= pixels && step >= 1, "{pixels}");
-            // Windows begin at multiples of the step: the worst stretch begins one pixel after one.
+            // Windows begin at multiples of the step, and the worst interval begins one pixel later.
             assert!(step - 1 + window <= pixels || step == 1, "{pixels}: {window} every {step}");
         }
     }

@@ -1,49 +1,24 @@
-//! A model that stays true: what differs between prediction and measurement becomes evidence, and evidence becomes changes.
+//! Keeps a model up to date: differences between prediction and measurement become evidence, and evidence becomes
+//! changes.
 //!
 //! Use it through the crate `presight`, which gives the same names.
 
-mod apply;
-mod blind;
-mod boxes;
-mod caster;
-mod changes;
+mod change;
 mod decide;
 mod evidence;
-mod features;
-mod file;
-mod fit;
-mod joint;
-mod learn;
-mod located;
-mod lookout;
-mod moves;
-mod parts;
-mod policy;
-mod priors;
-mod program;
-mod pulled;
-mod recognize;
-mod refine;
-mod register;
-mod rivals;
-mod shapes;
-mod shown;
-mod sightings;
-mod solid;
-mod view;
-mod voxels;
+mod learner;
+mod observe;
+mod options;
 
-pub use apply::{Applied, Waiting};
-pub use boxes::UprightBox;
-pub use caster::{Caster, Met};
-pub use changes::change_lines;
-pub use decide::{Doubt, Finding, Findings, Sight, What};
-pub use evidence::{Evidence, Pixels};
-pub use learn::{LearnOptions, Learner, Tally};
-pub use lookout::Look;
-pub use policy::{Action, Policy};
-pub use program::ProgramRecognizer;
-pub use recognize::{Proposal, Recognized, Recognizer};
-pub use refine::Refined;
-pub use shapes::{Library, Shape};
-pub use voxels::{Occupied, Voxel, Voxels};
+pub use change::pending::{Applied, PendingChanges};
+pub use change::refine::RefinedPose;
+pub use decide::boxes::UprightBox;
+pub use decide::findings::{BestView, DoubtfulObject, Finding, FindingKind, Findings, PlannedView};
+pub use decide::policy::{Action, Policy};
+pub use decide::program::ProgramRecognizer;
+pub use decide::recognize::{Proposal, Recognizer};
+pub use decide::shapes::{Library, LibraryShape, Recognized};
+pub use evidence::objects::Evidence;
+pub use evidence::voxels::{OccupancyThreshold, Voxel, Voxels};
+pub use learner::{Learner, Tally};
+pub use options::LearnOptions;

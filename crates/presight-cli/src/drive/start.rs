@@ -110,7 +110,7 @@ impl Drive {
         if !(part >= 0.0 && part.is_finite()) {
             return Err(Error::usage(format!("--odometry-sigma {part}"), "give a finite fraction of at least 0"));
         }
-        Ok(OdometryNoise::default().with_way(part).with_turn(part).with_turn_on_way(0.5 * part))
+        Ok(OdometryNoise::default().with_distance(part).with_turn(part).with_turn_per_distance(0.5 * part))
     }
 
     /// Estimator options by --preset, or by the sensor.

@@ -1,4 +1,4 @@
-//! New things of known shapes: the library and the recognizer of `presight update`.
+//! New objects of known shapes: the library and the recognizer of `presight update`.
 
 use crate::print;
 use presight::update::{Findings, Learner, Library, ProgramRecognizer, Recognizer};
@@ -9,24 +9,26 @@ use std::time::Duration;
 /// Flags on known shapes.
 #[derive(Debug, clap::Args)]
 pub struct KnownArgs {
-    /// Fit the meshes of this folder (.glb, .gltf) to new things: one that explains the points better than boxes is proposed
+    /// Fit the meshes of this folder (.glb, .gltf) to new objects; a mesh that explains the points better than boxes is
+    /// proposed
     #[arg(long, value_name = "DIR")]
     library: Option<PathBuf>,
 
-    /// Ask this program what new things are: it gets points as PLY on its input, and prints {"object": NAME, "pose": [..]}
+    /// Recognize new objects by this program, which reads points as PLY and prints {"object": NAME, "pose": [..]}
     ///
-    /// It runs once for each group of points, without a shell. Points are in the world, metres. NAME is a file of --library without
-    /// its ending, or an object of the map. The pose is x, y, z, roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw. What
-    /// explains the points no better than boxes, or is seen through, is not proposed.
+    /// It runs once for each group of points, without a shell. Points are in the world, metres. NAME is a file of
+    /// --library without its ending, or an object of the map. The pose is x, y, z, roll, pitch, yaw in degrees, or x,
+    /// y, z, qx, qy, qz, qw. A proposal that
+    /// explains the points no better than boxes, or that rays pass through, is ignored.
     #[arg(long, value_name = "CMD")]
     recognizer: Option<String>,
 
-    /// Longest time for one answer of the recognizer, milliseconds
+    /// Maximum time for one answer of the recognizer, milliseconds
     #[arg(long, value_name = "MS", default_value_t = 10_000.0, requires = "recognizer")]
     recognizer_ms: f64,
 }
 
-/// What knows shapes.
+/// The sources of known shapes.
 #[derive(Debug)]
 pub struct Recognizers {
     library: Library,
@@ -53,8 +55,8 @@ impl KnownArgs {
 }
 
 impl Recognizers {
-    /// Puts known shapes in place of boxes. A recognizer that fails is reported, and the findings are as without it: what a drive
-    /// taught is not lost.
+    /// Replaces boxes by known shapes. If the recognizer fails, the error is reported, and the findings keep their
+    /// boxes.
     pub fn improve(&mut self, learner: &mut Learner, world: &World, findings: &mut Findings) {
         let program = self.program.as_mut().map(|program| program as &mut dyn Recognizer);
         if let Err(e) = learner.recognize(world, findings, &self.library, program) {

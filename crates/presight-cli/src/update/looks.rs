@@ -1,23 +1,24 @@
-//! Where to look from: at objects in doubt, and at findings that a policy stops at or comes back to.
+//! Questions that a planned view answers: objects in doubt, and findings at which a policy stops or to which it comes
+//! back.
 
-use super::told;
+use super::describe;
 use presight::tools::write_atomically;
-use presight::update::{Action, Finding, Findings, Learner, Look, Policy};
+use presight::update::{Action, Finding, Findings, Learner, PlannedView, Policy};
 use presight::{Error, Result, World};
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::Path;
 
-/// Findings that a person or a robot has to look at, with the poses to look from.
-pub struct Asked<'a> {
-    all: Vec<(&'a Finding, Action, Option<Look>)>,
+/// Findings that a person or a robot must check, with the planned views.
+pub struct Questions<'a> {
+    all: Vec<(&'a Finding, Action, Option<PlannedView>)>,
 }
 
-/// The pose to look from in words; empty for none.
-pub fn look_from(look: Option<&Look>) -> String {
-    look.map_or_else(String::new, |look| {
-        let (t, (_, _, yaw)) = (look.world_from_sensor.translation, look.world_from_sensor.rpy());
-        let Look { sensor, odds, .. } = look;
+/// A planned view in words; empty for none.
+pub fn look_from(view: Option<&PlannedView>) -> String {
+    view.map_or_else(String::new, |view| {
+        let (t, (_, _, yaw)) = (view.world_from_sensor.translation, view.world_from_sensor.rpy());
+        let PlannedView { sensor, odds, .. } = view;
         let yaw = yaw.to_degrees();
         format!(
             "; look from {:.2},{:.2},{:.2} at {yaw:.0} degrees with {sensor}, expected log-odds {odds:.0}",
@@ -26,40 +27,40 @@ pub fn look_from(look: Option<&Look>) -> String {
     })
 }
 
-/// The line of something to look at.
-fn line(what: Value, why: &str, look: Option<&Look>) -> String {
-    let mut value = json!({"object": what, "why": why});
-    if let Some(Look { sensor, world_from_sensor: pose, odds }) = look {
+/// The line of a question.
+fn line(object: Value, why: &str, view: Option<&PlannedView>) -> String {
+    let mut value = json!({"object": object, "why": why});
+    if let Some(PlannedView { sensor, world_from_sensor: pose, odds }) = view {
         let numbers: Vec<f64> = pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect();
         value["look_from"] = json!({"sensor": sensor, "pose": numbers, "log_odds": (10.0 * odds).round() / 10.0});
     }
     format!("{value}\n")
 }
 
-impl<'a> Asked<'a> {
-    /// What a policy stops at or comes back to.
+impl<'a> Questions<'a> {
+    /// The findings at which a policy stops or to which it comes back.
     pub fn of(learner: &mut Learner, world: &World, findings: &'a Findings, policy: &Policy) -> Self {
-        let asks = |finding: &&Finding| matches!(policy.of(&finding.what), Action::Stop | Action::ComeBack);
+        let asks = |finding: &&Finding| matches!(policy.of(&finding.kind), Action::Stop | Action::ComeBack);
         let all: Vec<&Finding> = findings.changes.iter().filter(asks).collect();
-        let looks = learner.looks(world, &all);
-        Self { all: all.into_iter().zip(looks).map(|(f, look)| (f, policy.of(&f.what), look)).collect() }
+        let views = learner.plan_views(world, &all);
+        Self { all: all.into_iter().zip(views).map(|(f, view)| (f, policy.of(&f.kind), view)).collect() }
     }
 
-    /// What has an action, in words, with the pose to look from.
-    pub fn told(&self, action: Action) -> impl Iterator<Item = String> {
+    /// The findings with an action in words, with their planned views.
+    pub fn describe(&self, action: Action) -> impl Iterator<Item = String> {
         let own = self.all.iter().filter(move |(_, own, _)| *own == action);
-        own.map(|(finding, _, look)| format!("{}{}", told(finding), look_from(look.as_ref())))
+        own.map(|(finding, _, view)| format!("{}{}", describe(finding), look_from(view.as_ref())))
     }
 
-    /// A line for each object in doubt, and for each finding to look at.
+    /// A line for each object in doubt, and for each finding to check.
     pub fn lines(&self, findings: &Findings) -> String {
-        let doubts = findings.doubts.iter().map(|d| line(d.object.as_str().into(), &d.why, d.look.as_ref()));
+        let doubts = findings.doubts.iter().map(|d| line(d.object.as_str().into(), &d.why, d.view.as_ref()));
         let name = |f: &Finding| if f.object.is_empty() { Value::Null } else { f.object.as_str().into() };
-        let asked = self.all.iter().map(|(finding, _, look)| line(name(finding), &told(finding), look.as_ref()));
+        let asked = self.all.iter().map(|(finding, _, view)| line(name(finding), &describe(finding), view.as_ref()));
         doubts.chain(asked).collect()
     }
 
-    /// Adds the places to come back to, a line each, to a list that survives. A place that is on it is not added again.
+    /// Adds each place to visit again as a line to the list of earlier runs, unless it is there already.
     ///
     /// # Errors
     /// Errors of reading and writing the list.
@@ -70,7 +71,7 @@ impl<'a> Asked<'a> {
             Err(e) => return Err(Error::io(path, "read it", e)),
         };
         let mut lines: Vec<String> = known.lines().map(str::to_owned).collect();
-        for line in self.told(Action::ComeBack).map(|told| json!({ "come_back": told }).to_string()) {
+        for line in self.describe(Action::ComeBack).map(|finding| json!({ "come_back": finding }).to_string()) {
             if !lines.contains(&line) {
                 lines.push(line);
             }

@@ -10,40 +10,45 @@ use super::outputs::OutputFiles;
 use super::{CommandOutcome, folder, print};
 use glam::DVec3;
 use known::KnownArgs;
-use looks::{Asked, look_from};
-use page::Shown;
+use looks::{Questions, look_from};
+use page::Page;
 use presight::files::{self, StampedPose};
 use presight::localize::Phase;
 #[cfg(feature = "report")]
 use presight::localize::Step;
 use presight::measured::Frame;
+use presight::store::ProposedChange;
 use presight::tools::write_atomically;
-use presight::update::{Action, Finding, Findings, LearnOptions, Learner, Policy, What, change_lines};
+use presight::update::{Action, Finding, FindingKind, Findings, LearnOptions, Learner, Policy};
 use presight::{Error, InWorld, PoseCovariance, PoseEstimate, Result, Scene, World};
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 use store_of::{Claim, apply, version_of};
 
 const EXAMPLES: &str = "Examples:
-  Look, then apply:
+  PlannedView, then apply:
     presight update monday.jsonl tuesday.jsonl --map site.presight --init unknown --out found
     presight env apply site.presight found/changes.jsonl
 
   With poses from elsewhere, known to 5 mm and 0.1 degrees:
-    presight update run.jsonl --map site.presight --init reference --poses run.tum --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found
+    presight update run.jsonl --map site.presight --init reference --poses run.tum \
+    --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found
 
   New things whose shapes are known, as meshes:
-    presight update run.jsonl --map site.presight --init reference --library pallets --recognizer \"python3 name.py\" --out found
+    presight update run.jsonl --map site.presight --init reference --library pallets \
+    --recognizer \"python3 name.py\" --out found
 
   A robot with two sensors:
-    presight update front=front.jsonl rear=rear.jsonl --robot kurt.toml --map site.presight --init reference --out found";
+    presight update front=front.jsonl rear=rear.jsonl --robot kurt.toml --map site.presight \
+    --init reference --out found";
 
 /// Learn what changed: objects that are gone, moved or new, from the logs of drives
 ///
-/// LOGs are drives one after the other, each as for `localize`. DIR gets changes.jsonl, which `env apply` reads,
-/// doubts.jsonl, which says where to look from, and index.html, which shows each change: the measurement between the predictions
-/// without and with it, and how the evidence grew. Nothing else is written without --apply or --evidence.
+/// LOGs are drives one after the other, each as for `localize`. DIR gets changes.jsonl for `env apply`, doubts.jsonl
+/// with the poses that decide open questions, and index.html. The page shows for each change the measurement between
+/// the predictions without and with it, and the growth of the evidence. Other files are written only with --apply or
+/// --evidence.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -78,7 +83,7 @@ pub struct Args {
     #[arg(long, value_name = "MS", requires = "apply")]
     deadline_ms: Option<f64>,
 
-    /// Keep evidence that does not decide yet in this file, and go on with its content
+    /// Read undecided evidence from this file, and write it back
     #[arg(long, value_name = "FILE")]
     evidence: Option<PathBuf>,
 
@@ -86,18 +91,19 @@ pub struct Args {
     #[arg(long, value_name = "UTC")]
     time: Option<f64>,
 
-    /// What becomes of each kind of finding, such as gone=change,new=stop: mark, change, stop, come-back or ignore [default: mark]
+    /// Action for each kind of finding, such as gone=change,new=stop: mark, change, stop, come-back or ignore [default:
+    /// mark]
     ///
-    /// The kinds are gone, moved, new and part. `mark` marks objects and new things as uncertain. `change` changes the
-    /// model. `stop` proposes nothing, says where to look from, and ends with status 1. `come-back` adds the place to
-    /// DIR/come_back.jsonl.
+    /// The kinds are gone, moved, new and part. `mark` marks known and new objects as uncertain. `change` changes
+    /// the model. `stop` proposes no change, reports the pose that decides the question, and ends with status 1.
+    /// `come-back` adds the place to DIR/come_back.jsonl.
     #[arg(long, value_name = "KIND=ACTION,..", default_value = "")]
     policy: String,
 
     #[command(flatten)]
     known: KnownArgs,
 
-    /// Views that have to agree
+    /// Minimum number of agreeing views
     #[arg(long, value_name = "N", default_value_t = 3)]
     views: u32,
 
@@ -135,8 +141,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     if let Some(path) = args.evidence.as_deref().filter(|path| path.exists()) {
         let left_out = learner.load(path, scene.world.environment(), &version.origin)?;
-        let told = format!("evidence on {left_out} objects is left out, because they moved or are gone since");
-        print::notices(&(left_out > 0).then_some(told));
+        let notice = format!("evidence on {left_out} objects is left out, because they moved or are gone since");
+        print::notices(&(left_out > 0).then_some(notice));
     }
     let stamp = learn(&drives, &scene, &mut learner, known.as_ref())?;
     folder::ready(&args.out)?;
@@ -144,38 +150,37 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     recognizers.improve(&mut learner, &scene.world, &mut findings);
     let utc = args.time.unwrap_or(0.0);
     let utc = if stamp > 1e9 { 0.0 } else { utc };
-    let lines = change_lines(&learner, &findings, &scene.world, (&version.base, utc), &policy);
-    let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
-    let changes = args.out.join("changes.jsonl");
-    write_atomically(&changes, |file| file.write_all(text.as_bytes()))?;
+    let changes = learner.changes(&findings, &scene.world, (&version.base, utc), &policy)?;
+    let changes_file = args.out.join("changes.jsonl");
+    write_changes(&changes_file, &changes)?;
     let after = after(&scene.world, &findings);
     let shares = (learner.share_explained(&scene.world, 0.1), learner.share_explained(&after, 0.1));
-    let told = summary(&learner, &findings, shares);
-    let asked = Asked::of(&mut learner, &scene.world, &findings, &policy);
-    write_atomically(&args.out.join("doubts.jsonl"), |file| file.write_all(asked.lines(&findings).as_bytes()))?;
-    let shown = Shown { args, drives: &drives, scene: &scene, findings: &findings, told: &told };
-    shown.write(&args.out)?;
+    let summary = summary(&learner, &findings, shares);
+    let questions = Questions::of(&mut learner, &scene.world, &findings, &policy);
+    write_atomically(&args.out.join("doubts.jsonl"), |file| file.write_all(questions.lines(&findings).as_bytes()))?;
+    let page = Page { args, drives: &drives, scene: &scene, findings: &findings, summary: &summary };
+    page.write(&args.out)?;
+    let count = changes.len();
     let (applied, waiting) =
-        if args.apply { apply(&args.drive.map, &lines, stamp + utc, within)? } else { (Vec::new(), 0) };
+        if args.apply { apply(&args.drive.map, changes, stamp + utc, within)? } else { (Vec::new(), 0) };
     if let Some(path) = &args.evidence {
-        let changed: Vec<String> = applied.iter().filter_map(|line| changed_by(line)).collect();
+        let changed: Vec<String> = applied.iter().filter_map(ProposedChange::object).map(str::to_owned).collect();
         if !applied.is_empty() {
             learner.forget(&after, &changed);
         }
         learner.save(path, scene.world.environment(), &version.origin)?;
     }
-    asked.come_back(&args.out.join("come_back.jsonl"))?;
-    print::data(&told)?;
+    questions.come_back(&args.out.join("come_back.jsonl"))?;
+    print::data(&summary)?;
     let waits = format!(
-        "{waiting} of {} changes wait: presight env apply {} {} applies them",
-        lines.len(),
+        "{waiting} of {count} changes wait: presight env apply {} {} applies them",
         args.drive.map.display(),
-        changes.display()
+        changes_file.display()
     );
     print::notices(&(waiting > 0).then_some(waits));
-    let stops: Vec<String> = asked.told(Action::Stop).map(|told| format!("stop: {told}")).collect();
+    let stops: Vec<String> = questions.describe(Action::Stop).map(|finding| format!("stop: {finding}")).collect();
     print::notices(&stops);
-    print::notices(&findings.wrong.iter().map(|why| format!("nothing is changed: {why}")).collect::<Vec<_>>());
+    print::notices(&findings.wrong.iter().map(|why| format!("the model is not changed: {why}")).collect::<Vec<_>>());
     Ok(if findings.wrong.is_some() || !stops.is_empty() { CommandOutcome::Found } else { CommandOutcome::Done })
 }
 
@@ -186,7 +191,7 @@ fn deadline(args: &Args) -> Result<Duration> {
     within.ok_or_else(|| Error::usage(format!("--deadline-ms {ms}"), "give milliseconds of at least 0"))
 }
 
-/// The drives, one after the other; with --robot one drive, which has all logs.
+/// The drives, one after the other; with --robot one drive with all logs.
 fn drives(args: &Args) -> Result<Vec<Drive>> {
     if args.robot.is_some() {
         let more: Vec<String> = args.more.iter().map(|log| log.to_string_lossy().into_owned()).collect();
@@ -204,7 +209,7 @@ fn learn(drives: &[Drive], scene: &Scene, learner: &mut Learner, known: Option<&
             Some((poses, covariance)) => {
                 for drive in drive.each_log() {
                     follow_known(&drive, scene, learner, (poses, covariance), &mut stamp)?;
-                    learner.end_way();
+                    learner.end_log();
                 }
             }
             None => follow(drive, learner, &mut stamp)?,
@@ -214,10 +219,10 @@ fn learn(drives: &[Drive], scene: &Scene, learner: &mut Learner, known: Option<&
     Ok(stamp)
 }
 
-/// The object that a line changes.
-fn changed_by(line: &str) -> Option<String> {
-    let value: serde_json::Value = serde_json::from_str(line).ok()?;
-    value["object"].as_str().map(str::to_owned)
+/// Writes changes as lines of `presight env apply`.
+fn write_changes(path: &Path, changes: &[ProposedChange]) -> Result<()> {
+    let lines = changes.iter().map(|change| Ok(change.line()? + "\n")).collect::<Result<String>>()?;
+    write_atomically(path, |file| file.write_all(lines.as_bytes()))
 }
 
 fn options(args: &Args) -> Result<LearnOptions> {
@@ -227,9 +232,9 @@ fn options(args: &Args) -> Result<LearnOptions> {
         }
     }
     Ok(LearnOptions::default()
-        .with_least_views(args.views.max(1))
-        .with_sure(args.sure)
-        .with_most_per_view(args.most_per_view)
+        .with_min_views(args.views.max(1))
+        .with_decisive(args.sure)
+        .with_max_per_view(args.most_per_view)
         .with_model_sigma(args.drive.model_sigma.unwrap_or(0.0)))
 }
 
@@ -254,15 +259,17 @@ fn known_poses(args: &Args) -> Result<Option<Known>> {
 
 /// Learns from a drive that the localizer follows.
 fn follow(drive: &Drive, learner: &mut Learner, last: &mut f64) -> Result<()> {
-    let mut sure = false;
+    let mut is_tracked = false;
     drive.follow(OutputFiles::default(), None, |scene, sensed, step| {
         *last = step.stamp;
-        sure |= step.phase == Phase::Tracking;
+        is_tracked |= step.phase == Phase::Tracking;
         let frames: Vec<&Frame> = std::iter::once(sensed.frame).chain(sensed.grey).chain(sensed.beside).collect();
         learner.observe(&scene.world, step, &frames)
     })?;
     let log = drive.log.display();
-    print::notices(&(!sure).then(|| format!("{log}: the robot was never sure of its pose, so nothing was learnt")));
+    print::notices(
+        &(!is_tracked).then(|| format!("{log}: the pose of the robot was never certain, so the log was ignored")),
+    );
     Ok(())
 }
 
@@ -302,75 +309,76 @@ fn after(world: &World, findings: &Findings) -> World {
 }
 
 fn summary(learner: &Learner, findings: &Findings, (before, after): (f64, f64)) -> String {
-    let count = |of: fn(&What) -> bool| findings.changes.iter().filter(|f| of(&f.what)).count();
+    let count = |of: fn(&FindingKind) -> bool| findings.changes.iter().filter(|f| of(&f.kind)).count();
     let tally = learner.tally();
     let mut text = format!("{} frames, {} views, {} thrown away\n", tally.frames, tally.views, tally.discarded);
     text += &format!(
-        "{} gone, {} moved, {} new, {} parts gone, {} seen through, {} come and go, {} doubtful, {} confirmed, {} never seen\n",
-        count(|w| matches!(w, What::Gone)),
-        count(|w| matches!(w, What::Moved { .. })),
-        count(|w| matches!(w, What::New(_) | What::Recognized(_))),
-        count(|w| matches!(w, What::Part(_))),
-        count(|w| matches!(w, What::SeenThrough(_))),
-        count(|w| matches!(w, What::ComesAndGoes)),
+        "{} gone, {} moved, {} new, {} parts gone, {} seen through, {} come and go, {} doubtful, \
+         {} confirmed, {} never seen\n",
+        count(|w| matches!(w, FindingKind::Gone)),
+        count(|w| matches!(w, FindingKind::Moved { .. })),
+        count(|w| matches!(w, FindingKind::New(_) | FindingKind::Recognized(_))),
+        count(|w| matches!(w, FindingKind::Part(_))),
+        count(|w| matches!(w, FindingKind::SeenThrough(_))),
+        count(|w| matches!(w, FindingKind::ComesAndGoes)),
         findings.doubts.len(),
         findings.confirmed.len(),
         findings.unseen
     );
     text += &format!("beams within 0.1 m of the model: {:.1} % before, {:.1} % after\n", 100.0 * before, 100.0 * after);
-    findings.changes.iter().for_each(|finding| text += &format!("{}\n", told(finding)));
+    findings.changes.iter().for_each(|finding| text += &format!("{}\n", describe(finding)));
     for doubt in &findings.doubts {
-        text += &format!("doubtful: {}: {}{}\n", doubt.object, doubt.why, look_from(doubt.look.as_ref()));
+        text += &format!("doubtful: {}: {}{}\n", doubt.object, doubt.why, look_from(doubt.view.as_ref()));
     }
     text
 }
 
-/// A place in centimetres, without a negative zero.
+/// A place rounded to centimetres, without a negative zero.
 fn place(p: DVec3) -> String {
     let [x, y, z] = p.to_array().map(|v| (100.0 * v).round() / 100.0 + 0.0);
     format!("{x:.2},{y:.2},{z:.2}")
 }
 
 /// A finding in one line.
-fn told(finding: &Finding) -> String {
-    let Finding { object, what, l, views, .. } = finding;
+fn describe(finding: &Finding) -> String {
+    let Finding { object, kind, l, views, .. } = finding;
     let odds = format!("log-odds {l:.1}, {views} views");
-    match what {
-        What::Gone => format!("gone: {object} ({odds})"),
-        What::Moved { distance, .. } => format!("moved: {object} by {distance:.3} m ({odds})"),
-        What::New(found) => {
+    match kind {
+        FindingKind::Gone => format!("gone: {object} ({odds})"),
+        FindingKind::Moved { distance, .. } => format!("moved: {object} by {distance:.3} m ({odds})"),
+        FindingKind::New(found) => {
             let (s, at) = (found.size, place(found.pose.translation));
             format!("new: {:.2} x {:.2} x {:.2} m at {at} ({odds})", s.x, s.y, s.z)
         }
-        What::Recognized(known) => {
+        FindingKind::Recognized(known) => {
             let (at, (_, _, yaw)) = (place(known.world_from_object.translation), known.world_from_object.rpy());
             format!("new: {} at {at}, yaw {:.1} degrees ({odds})", known.shape.name(), yaw.to_degrees())
         }
-        What::SeenThrough(class) => format!("seen through by sensors of class {class}: {object} ({odds})"),
-        What::ComesAndGoes => format!("comes and goes: {object} ({odds})"),
-        What::Part(b) => format!("part gone: {object} from {:.1} to {:.1} in its frame ({odds})", b.min, b.max),
+        FindingKind::SeenThrough(class) => format!("seen through by sensors of class {class}: {object} ({odds})"),
+        FindingKind::ComesAndGoes => format!("comes and goes: {object} ({odds})"),
+        FindingKind::Part(b) => format!("part gone: {object} from {:.1} to {:.1} in its frame ({odds})", b.min, b.max),
     }
 }
 
-/// What each frame of a drive teaches, for replays.
+/// The evidence after each frame of a drive, for replays.
 #[cfg(feature = "report")]
 pub struct Learning {
     learner: Learner,
-    /// For each frame, the knowledge after it.
+    /// A note for each frame.
     pub notes: Vec<String>,
 }
 
 #[cfg(feature = "report")]
 impl Learning {
-    /// Nothing is known yet.
+    /// Makes a learner without evidence.
     ///
     /// # Errors
-    /// None: the default options are sound.
+    /// None, because the default options are valid.
     pub fn new() -> Result<Self> {
         Ok(Self { learner: Learner::new(LearnOptions::default())?, notes: Vec::new() })
     }
 
-    /// Takes in a frame.
+    /// Adds a frame.
     ///
     /// # Errors
     /// Those of [`Learner::observe`].
@@ -378,7 +386,7 @@ impl Learning {
         const LISTED: usize = 5;
         self.learner.observe(world, step, &[frame])?;
         let mut evidence = self.learner.evidence(world);
-        let standing = evidence.iter().filter(|(_, e)| e.l >= self.learner.options().sure).count();
+        let standing = evidence.iter().filter(|(_, e)| e.l >= self.learner.options().decisive).count();
         evidence.retain(|(_, e)| e.l < 0.0);
         evidence.sort_by(|a, b| a.1.l.total_cmp(&b.1.l));
         let listed: Vec<String> =

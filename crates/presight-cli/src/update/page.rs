@@ -1,11 +1,12 @@
-//! The page of an update: for each change the measurement between the predictions without and with it, and how its evidence grew.
+//! The page of an update: for each change the measurement between the predictions without and with it, and how its
+//! evidence grew.
 
 use super::looks::look_from;
-use super::{Args, Drive, told};
+use super::{Args, Drive, describe};
 use glam::DVec3;
 use presight::measured::Frame;
 use presight::tools::write_atomically;
-use presight::update::{Doubt, Finding, Findings, Look, Sight, What};
+use presight::update::{BestView, DoubtfulObject, Finding, FindingKind, Findings, PlannedView};
 use presight::{Backend, Change, Images, Options, Output, Outputs, Predictor, Result, Scene, Sensor, World};
 use presight_pictures::{Panel, panels_png};
 use presight_studies::page::{Label, Part, Section, Strip, page};
@@ -13,28 +14,28 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::path::Path;
 
-/// Most changes that get pictures.
-const MOST: usize = 200;
-/// Most objects in doubt that get pictures.
-const MOST_DOUBTS: usize = 60;
+/// Maximum number of changes with pictures.
+const MAX_PICTURES: usize = 200;
+/// Maximum number of objects in doubt with pictures.
+const MAX_DOUBTS: usize = 60;
 
 /// Drive, sensor and stamp of a frame.
 type Key = (usize, String, u64);
 
-fn key(sight: &Sight) -> Key {
-    (sight.drive, sight.sensor.clone(), sight.stamp.to_bits())
+fn key(view: &BestView) -> Key {
+    (view.drive, view.sensor.clone(), view.stamp.to_bits())
 }
 
-/// All that the page shows.
-pub struct Shown<'a> {
+/// The content of the page.
+pub struct Page<'a> {
     pub args: &'a Args,
     pub drives: &'a [Drive],
     pub scene: &'a Scene,
     pub findings: &'a Findings,
-    pub told: &'a str,
+    pub summary: &'a str,
 }
 
-impl Shown<'_> {
+impl Page<'_> {
     /// Writes `index.html` and its pictures into a folder.
     ///
     /// # Errors
@@ -44,14 +45,14 @@ impl Shown<'_> {
         let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
         // Counts first. The pictures below show each change.
         let (head, rest) =
-            self.told.match_indices('\n').nth(2).map_or((self.told, ""), |(at, _)| self.told.split_at(at));
+            self.summary.match_indices('\n').nth(2).map_or((self.summary, ""), |(at, _)| self.summary.split_at(at));
         let all = Part::Details { summary: "As text".into(), text: rest.trim_start_matches('\n').into() };
         let mut sections =
             vec![Section { title: "All findings and doubts".into(), parts: vec![all], ..Section::default() }];
         for (number, finding) in self.findings.changes.iter().enumerate() {
-            let frame = finding.sight.as_ref().and_then(|sight| frames.get(&key(sight)));
-            let text = told(finding);
-            let told = text.split_once(": ").map_or(&*text, |(_, rest)| rest);
+            let frame = finding.best_view.as_ref().and_then(|view| frames.get(&key(view)));
+            let text = describe(finding);
+            let rest = text.split_once(": ").map_or(&*text, |(_, rest)| rest);
             let mut parts = Vec::new();
             if let Some(frame) = frame {
                 let file = format!("{:03}.png", number + 1);
@@ -65,8 +66,8 @@ impl Shown<'_> {
             }
             parts.extend(growth(finding, self.args.sure));
             sections.push(Section {
-                title: format!("{}. {told}", number + 1),
-                label: Some(label(&finding.what)),
+                title: format!("{}. {rest}", number + 1),
+                label: Some(label(&finding.kind)),
                 parts,
             });
         }
@@ -77,8 +78,8 @@ impl Shown<'_> {
 
     /// The frames that show the findings, by drive, sensor and stamp.
     fn frames(&self) -> Result<BTreeMap<Key, Frame>> {
-        let sights = self.findings.changes.iter().take(MOST).filter_map(|finding| finding.sight.as_ref());
-        let wanted: BTreeSet<Key> = sights.map(key).collect();
+        let views = self.findings.changes.iter().take(MAX_PICTURES).filter_map(|finding| finding.best_view.as_ref());
+        let wanted: BTreeSet<Key> = views.map(key).collect();
         let mut frames = BTreeMap::new();
         for (number, drive) in self.drives.iter().enumerate().filter(|(n, _)| wanted.iter().any(|key| key.0 == *n)) {
             for drive in drive.each_log() {
@@ -94,35 +95,40 @@ impl Shown<'_> {
         Ok(frames)
     }
 
-    /// Adds a section for each object in doubt: how it would look from the best free pose without and with it.
+    /// Adds a section for each object in doubt with the predictions without and with it from its planned view.
     fn doubts(&self, predictor: &mut Predictor, out: &Path, sections: &mut Vec<Section>) -> Result<()> {
         let sensors = self.sensors()?;
-        for (number, doubt) in self.findings.doubts.iter().enumerate().take(MOST_DOUBTS) {
+        for (number, doubt) in self.findings.doubts.iter().enumerate().take(MAX_DOUBTS) {
             let mut parts = Vec::new();
-            let sensor = doubt.look.as_ref().and_then(|look| Some((look, sensors.get(&look.sensor)?)));
-            if let Some((look, sensor)) = sensor {
+            let sensor = doubt.view.as_ref().and_then(|view| Some((view, sensors.get(&view.sensor)?)));
+            if let Some((view, sensor)) = sensor {
                 let file = format!("doubt-{:03}.png", number + 1);
-                let png = self.expected(predictor, doubt, (look, sensor))?;
+                let png = self.expected(predictor, doubt, (view, sensor))?;
                 write_atomically(&out.join(&file), |to| to.write_all(&png))?;
                 let caption = "From the free pose that tells most.".into();
                 parts.push(Part::Image { file, alt: "predictions without and with it", caption });
             }
-            let title = format!("{}: {}{}", doubt.object, doubt.why, look_from(doubt.look.as_ref()));
+            let title = format!("{}: {}{}", doubt.object, doubt.why, look_from(doubt.view.as_ref()));
             sections.push(Section { title, label: Some(Label { text: "doubtful", color: "#777" }), parts });
         }
         Ok(())
     }
 
-    /// The predictions without and with an object in doubt, from the pose to look from.
-    fn expected(&self, predictor: &mut Predictor, doubt: &Doubt, (look, sensor): (&Look, &Sensor)) -> Result<Vec<u8>> {
+    /// The predictions without and with an object in doubt from its planned view.
+    fn expected(
+        &self,
+        predictor: &mut Predictor,
+        doubt: &DoubtfulObject,
+        (view, sensor): (&PlannedView, &Sensor),
+    ) -> Result<Vec<u8>> {
         let mut without = self.scene.world.clone();
         drop(without.apply_unchecked(Change::DeleteObject { name: doubt.object.clone() }));
         let mut predicted = [Images::default(), Images::default()];
         for (world, images) in [&without, &self.scene.world].into_iter().zip(&mut predicted) {
             let range = Outputs::of(&[Output::Range]);
-            predictor.predict_images(world, sensor, &look.world_from_sensor, range, images)?;
+            predictor.predict_images(world, sensor, &view.world_from_sensor, range, images)?;
         }
-        let sensor_from_world = look.world_from_sensor.inverse();
+        let sensor_from_world = view.world_from_sensor.inverse();
         let corners = doubt.corners(self.scene.world.environment()).into_iter();
         let around: Vec<DVec3> = corners.map(|p| sensor_from_world.transform_point(p)).collect();
         let panels = [("without it", &predicted[0]), ("with it", &predicted[1])]
@@ -130,10 +136,10 @@ impl Shown<'_> {
         panels_png(&panels, sensor, &around)
     }
 
-    /// The sensors of the logs by name; nothing if no doubt has a pose to look from.
+    /// The sensors of planned views, by name.
     fn sensors(&self) -> Result<BTreeMap<String, Sensor>> {
         let mut wanted: BTreeSet<&str> =
-            self.findings.doubts.iter().filter_map(|d| Some(d.look.as_ref()?.sensor.as_str())).collect();
+            self.findings.doubts.iter().filter_map(|d| Some(d.view.as_ref()?.sensor.as_str())).collect();
         let mut sensors = BTreeMap::new();
         for drive in self.drives.iter().flat_map(Drive::each_log) {
             if wanted.is_empty() {
@@ -165,17 +171,17 @@ impl Shown<'_> {
         (finding, without): (&Finding, &World),
         frame: &Frame,
     ) -> Result<Vec<u8>> {
-        let (sensor, Some(sight)) = (frame.sensor(), &finding.sight) else { return Ok(Vec::new()) };
-        // All other changes are on both sides, so that the two differ by this one alone.
+        let (sensor, Some(view)) = (frame.sensor(), &finding.best_view) else { return Ok(Vec::new()) };
+        // Both worlds have all other changes, so that they differ by this one alone.
         let mut with = without.clone();
-        // What cannot be applied, such as a box at an odd place, is shown without its effect.
+        // A change that cannot be applied, such as a box at an invalid place, is shown without its effect.
         drop(with.apply_unchecked(finding.change(&with)));
         let mut predicted = [Images::default(), Images::default()];
         for (world, images) in [without, &with].into_iter().zip(&mut predicted) {
             let range = Outputs::of(&[Output::Range]);
-            predictor.predict_images(world, sensor, &sight.world_from_sensor, range, images)?;
+            predictor.predict_images(world, sensor, &view.world_from_sensor, range, images)?;
         }
-        let sensor_from_world = sight.world_from_sensor.inverse();
+        let sensor_from_world = view.world_from_sensor.inverse();
         let around = finding.corners(self.scene.world.environment()).into_iter();
         let around: Vec<DVec3> = around.map(|p| sensor_from_world.transform_point(p)).collect();
         let panels = [
@@ -201,14 +207,14 @@ fn growth(finding: &Finding, sure: f64) -> Option<Part> {
 }
 
 /// The kind of a finding, with its colour.
-fn label(what: &What) -> Label {
-    let (text, color) = match what {
-        What::Gone => ("gone", "#c33"),
-        What::Moved { .. } => ("moved", "#b60"),
-        What::New(_) | What::Recognized(_) => ("new", "#283"),
-        What::Part(_) => ("part gone", "#c33"),
-        What::SeenThrough(_) => ("seen through", "#639"),
-        What::ComesAndGoes => ("comes and goes", "#639"),
+fn label(kind: &FindingKind) -> Label {
+    let (text, color) = match kind {
+        FindingKind::Gone => ("gone", "#c33"),
+        FindingKind::Moved { .. } => ("moved", "#b60"),
+        FindingKind::New(_) | FindingKind::Recognized(_) => ("new", "#283"),
+        FindingKind::Part(_) => ("part gone", "#c33"),
+        FindingKind::SeenThrough(_) => ("seen through", "#639"),
+        FindingKind::ComesAndGoes => ("comes and goes", "#639"),
     };
     Label { text, color }
 }

@@ -1,10 +1,10 @@
-//! The version of the map that findings are of, and their way into the store.
+//! The version of the map that findings refer to, and their application to the store.
 
 use crate::print;
 use presight::environment::IndexKind;
 use presight::store;
-use presight::store::{Note, Store};
-use presight::update::Waiting;
+use presight::store::{Note, ProposedChange, Store};
+use presight::update::PendingChanges;
 use presight::{Error, ErrorKind, Result, Scene};
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use std::time::Duration;
 /// A version of a map.
 pub struct Version {
     pub is_store: bool,
-    /// The same for all versions of one store; the content of another scene.
+    /// Identifies a store in all its versions; the hash of the content for another scene.
     pub origin: String,
     /// Names this version: ids of changes begin with it.
     pub base: String,
@@ -32,21 +32,27 @@ pub fn version_of(map: &Path, scene: &Scene) -> Result<Version> {
     Ok(Version { is_store: true, origin: info.genesis, base: info.head[..12].to_owned() })
 }
 
-/// Applies lines to the store at a time (UTC seconds), each on its own; those whose objects changed in the meantime are refused
-/// by name. Returns the lines that were applied, and how many wait because the time is over.
+/// Applies changes to the store at a time (UTC seconds), one by one. A change whose object was changed since is refused
+/// with a message. Returns the applied changes, and the number of changes for which the time was too short.
 ///
 /// # Errors
 /// Errors from opening the store and from writing to it.
-pub fn apply(map: &Path, lines: &[String], time: f64, within: Duration) -> Result<(Vec<String>, usize)> {
+pub fn apply(
+    map: &Path,
+    changes: Vec<ProposedChange>,
+    time: f64,
+    within: Duration,
+) -> Result<(Vec<ProposedChange>, usize)> {
     let mut store = Store::open_with_index(map, &IndexKind::None)?;
-    let mut waiting = Waiting::default();
-    waiting.add(lines.iter().cloned());
-    let applied = waiting.apply(&mut store, &Note::new("presight update", time), within)?;
+    let mut pending = PendingChanges::default();
+    pending.add(changes);
+    let applied = pending.apply(&mut store, &Note::new("presight update", time), within)?;
     applied.refused.iter().for_each(|(_, e)| print::message(&e.to_string()));
-    Ok((applied.lines, waiting.lines().len()))
+    Ok((applied.changes, pending.iter().len()))
 }
 
-/// The right to update a store or a file of evidence: one run at a time. It ends with the run, however that ends.
+/// The lock on a store or a file of evidence, which one run at a time holds. The operating system releases it when the
+/// run ends.
 pub struct Claim {
     path: PathBuf,
     _file: File,

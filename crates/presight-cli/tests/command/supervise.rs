@@ -120,7 +120,7 @@ fn questions_are_answered_as_text_and_as_json() {
     let free = json("query docking.rhai --free 2.0,0.6,1.0")["distance"].as_f64().unwrap();
     assert!((free - 0.85f64.hypot(0.4)).abs() < 1e-6, "{free}");
     assert!(place.done("query docking.rhai --uncertain --below 0.95").contains("chipped edge"));
-    assert!(place.done("query docking.rhai --path 0,0,0 3.6,1.2,0 --radius 0.3").starts_with("a way of"));
+    assert!(place.done("query docking.rhai --path 0,0,0 3.6,1.2,0 --radius 0.3").starts_with("a path of"));
 }
 
 #[test]

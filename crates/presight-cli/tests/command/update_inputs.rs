@@ -92,7 +92,7 @@ fn a_yaw_of_the_mount_is_no_change_of_the_site() {
     let before = bytes(&place);
     let line = format!("update log/scans.jsonl --map map.presight --sensor wrong.toml {CHANGE} --out found --apply");
     let done = place.run(&line);
-    assert!(done.status == Some(1) && done.stderr.contains("nothing is changed: "), "{done:?}");
+    assert!(done.status == Some(1) && done.stderr.contains("the model is not changed: "), "{done:?}");
     assert!(done.stderr.contains("mount"), "{done:?}");
     assert!(changes(&place, "found").is_empty());
     assert_eq!(bytes(&place), before);
@@ -115,7 +115,7 @@ fn a_wrong_map_is_untouched() {
                 .run(&format!("update log/scans.jsonl --map map.presight {start} --policy change --out found --apply"));
             assert!(changes(&place, "found").is_empty(), "{start}: {done:?}");
             assert!(
-                done.stderr.contains("never sure") || done.stderr.contains("nothing is changed"),
+                done.stderr.contains("never certain") || done.stderr.contains("the model is not changed"),
                 "{start}: {done:?}"
             );
             assert_eq!(bytes(&place), before, "{start}");
@@ -209,7 +209,7 @@ fn beside_a_localizer_it_decides_as_the_command() {
     use presight::localize::{EstimateOptions, Estimator};
     use presight::localize::{LocalizeOptions, Localizer};
     use presight::measured::OdometryNoise;
-    use presight::update::{LearnOptions, Learner, Policy, change_lines};
+    use presight::update::{LearnOptions, Learner, Policy};
     use presight::{Backend, Options, Predictor};
     let place = site(Some(2), Some(5));
     let done = place.run("update log/scans.jsonl --map map.presight --init reference --policy change --out found");
@@ -229,9 +229,11 @@ fn beside_a_localizer_it_decides_as_the_command() {
     }
     learner.end_drive();
     let findings = learner.findings(&world);
-    let lines = change_lines(&learner, &findings, &world, ("x", 0.0), &Policy::parse("change").unwrap());
+    let policy = Policy::parse("change").unwrap();
+    let proposed = learner.changes(&findings, &world, ("x", 0.0), &policy).unwrap();
     let of = |line: &serde_json::Value| (line["op"].clone(), line["object"].clone(), line["evidence"].clone());
-    let own: Vec<_> = lines.iter().map(|line| of(&serde_json::from_str(line).unwrap())).collect();
+    let own: Vec<_> =
+        proposed.iter().map(|change| of(&serde_json::from_str(&change.line().unwrap()).unwrap())).collect();
     let commands: Vec<_> = changes(&place, "found").iter().map(of).collect();
     assert_eq!(own, commands);
 }

@@ -21,7 +21,7 @@ fn glass_that_rays_go_through_leaves_nothing() {
         let corners = [[2.0, -0.4, -0.4], [2.0, 0.4, -0.4], [2.0, 0.4, 0.4], [2.0, -0.4, 0.4]].map(Vec3::from);
         let pane = presight_testkit::scenes::mesh(&[corners.to_vec()]).with_materials(|_| material);
         real.insert(NewObject::new("pane", Pose::IDENTITY, pane.into())).unwrap();
-        // The sensor's rays go on to a wall behind.
+        // The sensor's rays continue to a wall behind.
         let wall = [[4.0, -3.0, -2.0], [4.0, 3.0, -2.0], [4.0, 3.0, 2.0], [4.0, -3.0, 2.0]].map(Vec3::from);
         real.insert(NewObject::new("back", Pose::IDENTITY, presight_testkit::scenes::mesh(&[wall.to_vec()]).into()))
             .unwrap();

@@ -1,4 +1,4 @@
-//! Two walls and a floor that are known by hand, seen from inside: corners close, nothing stands out beyond them, and a doorway
+//! Two walls and a floor with hand-computed surfaces, seen from inside: corners close, nothing stands out beyond them, and a doorway
 //! next to the corner stays open.
 
 use super::rooms::{sensor, views_of};
@@ -57,7 +57,7 @@ fn explored(real: &Environment, polygons: usize, up: f64) -> Exploration {
     Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap()
 }
 
-/// Points on a common line of two surfaces, and the ways along the surfaces away from it.
+/// Points on a common line of two surfaces, and the directions along the surfaces away from it.
 fn lines(jamb: f64) -> Vec<(DVec3, [DVec3; 2])> {
     let mut lines = Vec::new();
     for k in 0..60 {
@@ -81,7 +81,7 @@ fn gap(found: &Environment, jamb: f64) -> f64 {
     lines(jamb).iter().map(|(at, ways)| ways.map(|way| open(*at, way)).iter().sum()).fold(0.0, f64::max)
 }
 
-/// How far surfaces reach out of the room, metres.
+/// Distance by which surfaces extend out of the room, metres.
 fn fin(found: &Environment) -> f64 {
     let beyond = |p: DVec3| (p.x - 2.0).max(p.y - 1.5).max(-1.0 - p.z);
     let objects = found.objects().iter().filter(|o| !o.is_deleted());
@@ -126,6 +126,6 @@ fn what_is_wrong_with_a_corner_is_found() {
     assert_eq!((fin(&right), blocked(&right, 0.1)), (0.0, 0));
     assert_eq!(blocked(&with([[2.0, 1.4, -1.0], [2.0, 1.4, 0.8], [2.0, 0.6, 0.8], [2.0, 0.6, -1.0]]), 0.1), 900);
     assert!(fin(&with([[2.0, 1.0, -1.0], [2.02, 1.0, -1.0], [2.02, 1.5, -1.0], [2.0, 1.5, -1.0]])) > 0.019);
-    // Without the jamb, the corner is as open as the doorway is wide.
+    // The gap at the corner is as wide as the doorway without the jamb.
     assert!(gap(&room(0.0), 0.1) > 0.07);
 }

@@ -54,7 +54,7 @@ fn five_hundred_do_nearly_as_well() {
 /// 11 mm and 0.72 degrees there. ICP straight from the first frame and in steps of five frames agree to 1.5 mm and 0.04 degrees.
 const LAST_OFF: [f64; 6] = [0.00761, -0.00515, 0.00591, 0.00404, 0.00482, 0.01078];
 
-/// Without poses but the first: every frame is found, and the end of the flight is within 3 cm and 0.5 degrees, and within the stated covariance:
+/// Only the first pose is given: every frame is found, and the end of the flight is within 3 cm and 0.5 degrees, and within the stated covariance:
 /// the squared error by its covariance exceeds the bound by chance in one flight of 1,000.
 #[test]
 fn frames_without_poses_are_found_on_the_way() {

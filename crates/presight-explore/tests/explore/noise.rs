@@ -1,4 +1,4 @@
-//! Noise decides how small pieces of surface can be: nobody has to say so.
+//! The measured noise determines the size of the smallest surfels, without an option.
 
 use super::rooms::views_of;
 use glam::{DVec3, Vec3};
@@ -103,7 +103,7 @@ fn facets(found: &Exploration) -> Vec<f64> {
     areas
 }
 
-/// Merging in pairs leaves planes that cover between half of what noise bears and all of it: up to twice as many as by hand make nine
+/// Merging in pairs leaves planes with between half of the error that noise hides and all of it: up to twice as many as by hand make nine
 /// tenths of the column. Fragments at the silhouettes and between planes are half as many again. Measured: 9, 7 and 6 planes, with fragments
 /// 15, 15 and 9; when merges ignored the noise, 13, 100 and 86, with fragments 23, 187 and 126.
 #[test]

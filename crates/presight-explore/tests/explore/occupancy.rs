@@ -82,7 +82,7 @@ fn an_explored_room_has_no_free_cell_that_is_occupied() {
     assert!(wrongly_free(&real, &grid, &options, 0.003) > 100, "planted");
 }
 
-/// Where a mark says that nobody looked between the heights, no cell is free; below the heights a mark changes nothing.
+/// No cell is free in a space that a mark records as unobserved between the heights. A mark below the heights has no effect.
 #[test]
 fn what_nobody_saw_is_unknown() {
     let (mut environment, options) = (hall(), GridOptions::default());

@@ -1,4 +1,4 @@
-//! An office driven through with a lidar of 16 rows: its four outer walls are known to 10 cm, all else is found.
+//! An office driven through with a lidar of 16 rows: the model has its four outer walls within 10 cm, and the drive finds the rest.
 
 use super::parts;
 use glam::{DVec3, Vec3};
@@ -94,7 +94,7 @@ fn shared(a: &Environment, b: &Environment, frames: &[Placed]) -> Shared {
 }
 
 /// Five people walk where the robot drives. Measured: 4.3 of 181 square metres of the model without them are not in the model with them, and
-/// 1.3 of 175 the other way; 831 of 952 polygons are the same. 0.3 % of the pixels of the drive are nearer. Without merges by noise, which makes
+/// 1.3 of 175 in the other direction; 831 of 952 polygons are the same. 0.3 % of the pixels of the drive are nearer. Without merges by noise, which makes
 /// a surface several times over, 4.8 of 320 square metres differ. When the surfels of walkers stayed, half of the area was lost.
 #[test]
 fn who_walks_through_leaves_nothing() {
@@ -132,7 +132,7 @@ fn who_walks_through_leaves_nothing() {
     assert!(share(same) > 0.985 && share(nearer) < 0.005, "{} {}", share(same), share(nearer));
 }
 
-/// Parts over 0.3 m that the drive saw are found, and nothing stands where nothing is, within three standard deviations of the ranges and a cell.
+/// Parts over 0.3 m that the drive saw are found, and no surface stands in free space, within three standard deviations of the ranges and a cell.
 fn check_parts(real: &Environment, found: &Exploration, frames: &[Placed]) {
     const NEAR: f64 = 0.03 + 0.025;
     let polygons = |model: &Environment| {

@@ -18,7 +18,7 @@ fn explored(scan: &Placed, polygons: usize) -> Exploration {
     Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap()
 }
 
-/// Measured: 11.1 cm and 72.3 % of scan 1 covered by scan 0; 10.2 cm and 70.7 % the other way. The map that comes with the data, 30,563
+/// Measured: 11.1 cm and 72.3 % of scan 1 covered by scan 0; 10.2 cm and 70.7 % in the other direction. The map that comes with the data, 30,563
 /// triangles of scan 0, has 10.3 cm and 63 %. The aim of 10 cm is missed.
 #[test]
 fn one_scan_of_a_street_predicts_the_next() {

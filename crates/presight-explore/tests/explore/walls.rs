@@ -18,11 +18,11 @@ const HEIGHT: f64 = 1.2;
 #[derive(Debug)]
 struct Wall {
     name: &'static str,
-    /// Out of the building.
+    /// Unit vector out of the building.
     out: DVec3,
-    /// Where it is along that way, metres.
+    /// Its position along that vector, metres.
     at: f64,
-    /// Places before it from which the way to it is free.
+    /// Places in front of it with a free line of sight.
     before: Vec<DVec3>,
 }
 
@@ -79,8 +79,8 @@ fn lidar() -> Sensor {
     Sensor::new(spec.with_noise(Noise { range_sigma: 0.01, ..Noise::default() })).unwrap()
 }
 
-/// How far off a wall's inside is, where level rays from before it meet the real wall, rising, metres. The wall alone counts: a new
-/// surface before it would be no correction.
+/// Errors of a wall's inside at the level rays that meet the real wall, ascending, metres. Only the wall itself is tested: a new surface
+/// in front of it would be no correction.
 fn off(real: &Environment, model: &Environment, wall: &Wall) -> Vec<f64> {
     let object = model.object(wall.name).unwrap();
     let mut alone = empty();

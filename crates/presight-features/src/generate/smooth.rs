@@ -55,13 +55,13 @@ fn of_object(
     let edges = MeshEdges::new(environment, object, class)?;
     let limits = FlatOptions {
         tolerance: options.flatness,
-        most_noise: options.sigma,
-        least_area: options.min_area.max(options.min_length * options.min_length),
+        max_noise: options.sigma,
+        min_area: options.min_area.max(options.min_length * options.min_length),
     };
     let flat = FlatSurfaces::new(&edges, &limits);
     let wants = |kind: FeatureKind| options.kinds.contains(&kind);
     let is_near = |draft: &Draft| near.is_none_or(|n| meet(n, &Aabb::of(draft.points.iter().copied())));
-    let patches = scanned::patches(object, number as u32, &flat, options.tilt, limits.least_area);
+    let patches = scanned::patches(object, number as u32, &flat, options.tilt, limits.min_area);
     let mut drafts: Vec<Draft> = patches.into_iter().filter(|d| wants(d.kind) && is_near(d)).collect();
     if wants(FeatureKind::Contour) {
         let mut rest = (flat.tolerance > 0.0).then(|| FlatRest::new(&edges, &flat));

@@ -69,7 +69,7 @@ pub struct ImageFile {
 /// ```
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
+/// [`presight_model::ErrorKind::System`] if the file cannot be written; no partial file is left.
 /// [`presight_model::ErrorKind::Invalid`] if there is no image.
 pub fn write(path: &Path, images: &Images, outputs: Outputs, attributes: &Attributes) -> Result<()> {
     let mut channels = Vec::new();
@@ -173,9 +173,10 @@ fn sort_header(file: &mut File) -> io::Result<()> {
 /// Reads the attributes, and the images whose channel names presight knows.
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Invalid`] or [`presight_model::ErrorKind::Unsupported`], naming the channel or attribute, for a file that is missing,
-/// truncated or not EXR, has deep data, several layers or sides beyond the limits, a channel that is subsampled or of
-/// the wrong type, or attributes of a newer format. [`presight_model::ErrorKind::System`] if the system refuses.
+/// [`presight_model::ErrorKind::Invalid`] or [`presight_model::ErrorKind::Unsupported`], naming the channel or
+/// attribute, for a file that is missing, truncated or not EXR, has deep data, several layers or sides beyond the
+/// limits, a channel that is subsampled or of the wrong type, or attributes of a newer format.
+/// [`presight_model::ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<ImageFile> {
     read_unnamed(path).map_err(|e| e.in_file(path))
 }

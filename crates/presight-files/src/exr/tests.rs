@@ -165,7 +165,7 @@ fn vectors_are_three_channels_and_say_their_frame() {
     std::fs::write(&path, bytes).unwrap();
     let e = error_of(&path);
     assert_eq!((e.kind(), e.place()), (ErrorKind::Unsupported, Some("attribute \"presight:normal_frame\"")));
-    // Without vectors the attribute is absent.
+    // A file without vectors has no such attribute.
     write(&path, &images, Outputs::of(&[Output::ObjectId]), &Attributes::default()).unwrap();
     assert_eq!(header_of(&path, "presight:normal_frame"), (vec!["object_id".to_owned()], None));
     // A vector with two components is refused.

@@ -16,22 +16,32 @@
 //! `cos_incidence`, `roi`, `roi_flag`, `image_covariance`, `properties` (`strength`, `contrast`, `normal` and
 //! `direction` in the world, `family`, `code`, `existence` at the time of the prediction) and `history` (null without a
 //! store). `range`, `cos_incidence`, `roi`, `roi_flag` and `image_covariance` are null for an invisible feature;
-//! `image_covariance` also if a defining point has no image (behind a camera). `pixels` are both ends of a visible part, and
-//! for a contour its polyline. If only the reasons of hidden features are requested, entries without a visible part have
-//! only `id`, `kind`, `branch`, `visible_fraction`, `visible` and one `hidden` part, and stand on one line.
+//! `image_covariance` also if a defining point has no image (behind a camera). `pixels` are both ends of a visible
+//! part, and for a contour its polyline. If only the reasons of hidden features are requested, entries without a
+//! visible part have only `id`, `kind`, `branch`, `visible_fraction`, `visible` and one `hidden` part, and stand on one
+//! line.
 //!
 //! `virtual` has `name`, `robot_from_sensor` (the sensor's mount: x, y, z, qx, qy, qz, qw) and, by name:
 //!
-//! | `name` | keys | defined in |
-//! |---|---|---|
-//! | `free-floor` | `floor_z_world`, `area`, `pixels`, `pixels_over_horizon`, `regions` (`area`, `pixels`, `outer_robot`, `holes_robot`: points), `mask` (`runs`: row, first column, count) | [`FreeFloor`](presight_predict::virtual_sensors::FreeFloor) |
-//! | `edges` | `edges` (`id`, `name`, `visible_fraction`, `visible`: `t`, `pixels`, `ends_world`), `segments` | [`Edges`](presight_predict::virtual_sensors::Edges) |
-//! | `radar-lines` | `lines` (`ends_robot`, `length`, `normal_robot`, `distance`, `columns`, `beams`, `polygons`, `objects`), `single_beams` | [`RadarLines`](presight_predict::virtual_sensors::RadarLines) |
-//! | `radar-nearest` | `directions` (`azimuth`, `range`, `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`, `arc_length`, `first`, `beams`), `complete_to` if work was dropped | [`Nearest`](presight_predict::virtual_sensors::Nearest) |
-//! | `radar-landmarks` | `landmarks` (`id`, `name`, `kind`, `family`, `code`, `position_robot`, `position_world`, `corners_robot`, `range`, `azimuth`, `elevation`, `cos_incidence`, `visible_fraction`, `existence`), `known` | [`Landmarks`](presight_predict::virtual_sensors::Landmarks) |
-//! | `depth-image` | `width`, `height`, `points`, `bounds_robot`, `points_robot` (row-major, null without a point) | [`DepthImage`](presight_predict::virtual_sensors::DepthImage) |
-//! | `vertical-planes` | `planes` (`normal_robot`, `distance`, `centre_robot`, `extent`, `pixels`, `area`, `object`, `pixel_bounds`), `pixels` | [`VerticalPlanes`](presight_predict::virtual_sensors::VerticalPlanes) |
-//! | `docking` | `landmarks` and `known` as above, `measurements`, `freedom`, `covariance`, `sigmas`, `information`, `unobservable` (`name`, `motion`) | [`Docking`](presight_predict::virtual_sensors::Docking) |
+//! - `free-floor` ([`FreeFloor`](presight_predict::virtual_sensors::FreeFloor)): `floor_z_world`, `area`, `pixels`,
+//!   `pixels_over_horizon`, `regions` (`area`, `pixels`, `outer_robot`, `holes_robot`: points), `mask` (`runs`: row,
+//!   first column, count)
+//! - `edges` ([`Edges`](presight_predict::virtual_sensors::Edges)): `edges` (`id`, `name`, `visible_fraction`,
+//!   `visible`: `t`, `pixels`, `ends_world`), `segments`
+//! - `radar-lines` ([`RadarLines`](presight_predict::virtual_sensors::RadarLines)): `lines` (`ends_robot`, `length`,
+//!   `normal_robot`, `distance`, `columns`, `beams`, `polygons`, `objects`), `single_beams`
+//! - `radar-nearest` ([`Nearest`](presight_predict::virtual_sensors::Nearest)): `directions` (`azimuth`, `range`,
+//!   `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`,
+//!   `arc_length`, `first`, `beams`), `complete_to` if work was dropped
+//! - `radar-landmarks` ([`Landmarks`](presight_predict::virtual_sensors::Landmarks)): `landmarks` (`id`, `name`,
+//!   `kind`, `family`, `code`, `position_robot`, `position_world`, `corners_robot`, `range`, `azimuth`, `elevation`,
+//!   `cos_incidence`, `visible_fraction`, `existence`), `known`
+//! - `depth-image` ([`DepthImage`](presight_predict::virtual_sensors::DepthImage)): `width`, `height`, `points`,
+//!   `bounds_robot`, `points_robot` (row-major, null without a point)
+//! - `vertical-planes` ([`VerticalPlanes`](presight_predict::virtual_sensors::VerticalPlanes)): `planes`
+//!   (`normal_robot`, `distance`, `centre_robot`, `extent`, `pixels`, `area`, `object`, `pixel_bounds`), `pixels`
+//! - `docking` ([`Docking`](presight_predict::virtual_sensors::Docking)): `landmarks` and `known` as above,
+//!   `measurements`, `freedom`, `covariance`, `sigmas`, `information`, `unobservable` (`name`, `motion`)
 //!
 //! Lengths are metres, areas square metres, angles radians.
 
@@ -81,11 +91,11 @@ impl Header {
     }
 }
 
-/// Writes predicted features, and the reading of a virtual sensor if there is one. `environment` names the objects that hide
-/// features.
+/// Writes predicted features, and the reading of a virtual sensor if there is one. `environment` names the objects that
+/// hide features.
 ///
 /// # Errors
-/// [`ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
+/// [`ErrorKind::System`] if the file cannot be written; no partial file is left.
 pub fn write(
     path: &Path,
     header: &Header,
@@ -298,7 +308,8 @@ fn entry<'a>(seen: &'a SeenFeature, header: &Header, environment: &'a Environmen
     }
 }
 
-/// The entry of a feature without a visible part: of all reasons of its parts the last one, as [`HiddenFeatures::Reason`].
+/// The entry of a feature without a visible part: of all reasons of its parts the last one, as
+/// [`HiddenFeatures::Reason`].
 fn unseen(seen: &SeenFeature) -> UnseenRecord<'_> {
     let reason = seen.hidden.iter().map(|h| h.reason).max().unwrap_or(Reason::OutsideImage);
     UnseenRecord {

@@ -28,22 +28,6 @@ pub struct ExpectedFeature {
     pub properties: ExpectedProperties,
 }
 
-impl ExpectedFeature {
-    /// The most likely detection, with the covariance of its points.
-    pub(crate) fn detected(&self, covariance: DMat2) -> Detection {
-        let ExpectedProperties { strength, contrast, direction, marker, range } = self.properties.clone();
-        let mean = |value: Option<UncertainValue>| value.map(|v| v.mean);
-        let properties = DetectionProperties {
-            strength: mean(strength),
-            contrast: mean(contrast),
-            direction: mean(direction),
-            marker,
-            range,
-        };
-        Detection { shape: self.shape.clone(), covariance, properties }
-    }
-}
-
 /// Noise of an extractor's properties, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PropertyNoise {
@@ -108,12 +92,8 @@ presight_model::with_options!(
 pub struct Candidates {
     /// Rows are expected features, columns detections.
     pub pairs: Vec<CandidatePair>,
-    /// Distances of the pairs in the image.
-    pub distances: Vec<Distance>,
     /// Detections with invalid values.
     pub rejected: Vec<(u32, Rejection)>,
-    /// Number of detections in each window, candidates or not.
-    pub in_window: Vec<u32>,
 }
 
 /// Constants of gates and costs, computed once.
@@ -150,7 +130,7 @@ impl Matcher {
 
     /// Returns the pairs of one kind with the detection in the window, and position and properties within the gate.
     pub fn candidates(&self, expected: &[ExpectedFeature], found: &[Detection]) -> Candidates {
-        let mut all = Candidates { in_window: vec![0; expected.len()], ..Candidates::default() };
+        let mut all = Candidates::default();
         let mut places = Vec::with_capacity(found.len());
         for (i, detection) in found.iter().enumerate() {
             match detection.check() {
@@ -165,11 +145,10 @@ impl Matcher {
         let has_segments = expected.iter().any(|feature| matches!(feature.shape, Shape::Segment { .. }));
         let lines: Vec<Option<FoundLine>> =
             if has_segments { found.iter().map(|d| FoundLine::of(d, self.noise)).collect() } else { Vec::new() };
-        let mut near: Vec<(CandidatePair, Distance)> = Vec::new();
+        let mut near: Vec<CandidatePair> = Vec::new();
         let mut room = vec![0; found.len() * if self.turn.is_some() { 3 } else { 1 } + 1];
         for (row, feature) in expected.iter().enumerate() {
             let inside = self.find_inside(feature, &bins, &mut room);
-            all.in_window[row] = inside.len() as u32;
             near.clear();
             for column in inside {
                 if let Shape::Segment { ends, .. } = &feature.shape
@@ -178,15 +157,12 @@ impl Matcher {
                 {
                     continue;
                 }
-                if let Some((cost, distance)) = self.cost(feature, &found[*column as usize], &level) {
-                    near.push((CandidatePair { row: row as u32, column: *column, cost }, distance));
+                if let Some(cost) = self.cost(feature, &found[*column as usize], &level) {
+                    near.push(CandidatePair { row: row as u32, column: *column, cost });
                 }
             }
-            near.sort_unstable_by(|(a, _), (b, _)| a.cost.total_cmp(&b.cost).then(a.column.cmp(&b.column)));
-            for (pair, distance) in near.iter().take(MAX_CANDIDATES) {
-                all.pairs.push(*pair);
-                all.distances.push(*distance);
-            }
+            near.sort_unstable_by(|a, b| a.cost.total_cmp(&b.cost).then(a.column.cmp(&b.column)));
+            all.pairs.extend(near.iter().take(MAX_CANDIDATES));
         }
         all
     }
@@ -240,7 +216,7 @@ impl Matcher {
     }
 
     /// Returns true if a detection is within the gate by position alone.
-    pub fn is_near(&self, feature: &ExpectedFeature, detection: &Detection) -> bool {
+    pub(crate) fn is_near(&self, feature: &ExpectedFeature, detection: &Detection) -> bool {
         compare(feature, detection, self.noise, self.turn, &Gate::new(self.gate_deviate)).is_some()
     }
 
@@ -250,7 +226,7 @@ impl Matcher {
     }
 
     /// Cost of a pair; `None` outside the gate.
-    fn cost(&self, feature: &ExpectedFeature, detection: &Detection, level: &Level) -> Option<(f64, Distance)> {
+    fn cost(&self, feature: &ExpectedFeature, detection: &Detection, level: &Level) -> Option<f64> {
         // Most pairs fail the position test, which is the cheapest.
         let distance = compare(feature, detection, self.noise, self.turn, &level.gate)?;
         let alike = self.compare_properties(&feature.properties, &detection.properties)?;
@@ -261,7 +237,7 @@ impl Matcher {
         }
         let target = 0.5 * squared + distance.log_volume + alike.log_volume;
         let clutter = level.log_clutter + distance.log_clutter + alike.log_clutter;
-        Some((target + clutter - level.log_detection, distance))
+        Some(target + clutter - level.log_detection)
     }
 
     /// Returns the distance between the properties that both sides know; `None` for two different markers.
@@ -335,7 +311,6 @@ mod tests {
         assert_eq!(got.pairs.iter().map(|p| p.column).collect::<Vec<_>>(), [0, 1, 2]);
         // The variance is 2 and the squared distance is 1, so the cost differs by 1/2 * 1/2.
         assert!((got.pairs[1].cost - got.pairs[0].cost - 0.25).abs() < 1e-4);
-        assert_eq!(got.in_window, [3]);
     }
 
     #[test]
@@ -403,7 +378,7 @@ mod tests {
         let found: Vec<Detection> =
             (0..5000).map(|i| Detection::point(DVec2::new(100.0 + f64::from(i) * 2e-4, 50.0), 1.0)).collect();
         let got = Matcher::default().candidates(&[point(100.0, 50.0)], &found);
-        assert_eq!((got.pairs.len(), got.in_window[0]), (MAX_CANDIDATES, 5000));
+        assert_eq!(got.pairs.len(), MAX_CANDIDATES);
         assert_eq!(got.pairs[0].column, 0);
     }
 

@@ -2,7 +2,7 @@
 
 use crate::environment::{Environment, Object};
 use crate::error::{Error, Result};
-use crate::geometry::{Aabb, plane_of_polygon};
+use crate::geometry::{Aabb, PLANARITY, plane_of_polygon};
 use crate::index::{Params, QueryResult, Region, Skd, SpatialIndex};
 use crate::limits;
 use glam::DVec3;
@@ -11,11 +11,8 @@ use std::collections::HashMap;
 /// Polygons whose directions at an edge differ by less than this lie on each other, radians.
 const SAME_WING: f64 = 0.1 * std::f64::consts::PI / 180.0;
 
-/// Tolerance for a corner on a side, relative to the side's coordinates: the error of f32 corners of planar polygons.
-const ON_SIDE: f64 = 4e-6;
-
-/// Most polygons around a smooth edge; the cost grows with the square of their number.
-const MOST_AROUND: usize = 16;
+/// Maximum number of polygons around a smooth edge; the cost grows with its square.
+const MAX_AROUND: usize = 16;
 
 /// Tolerance of crease angles, radians, so that every edge is a crease, smooth, or both.
 const SLACK: f64 = 1e-6;
@@ -149,7 +146,7 @@ impl MeshEdges {
     /// Polygons that lie on each other count once.
     pub(crate) fn fold(&self, edge: u32, crease: f64) -> Option<Fold> {
         let around = self.around(edge);
-        if around.len() > MOST_AROUND {
+        if around.len() > MAX_AROUND {
             return None;
         }
         let first = around[0];
@@ -192,7 +189,7 @@ fn split(sides: Vec<Side>, positions: &[DVec3]) -> Result<Vec<Side>> {
     for (ends, polygon) in lone {
         let [a, b] = ends.map(|end| positions[end as usize]);
         let (d, bounds) = (b - a, Aabb::of([a, b]));
-        let off = ON_SIDE * bounds.min.abs().max(bounds.max.abs()).max_element();
+        let off = PLANARITY * bounds.min.abs().max(bounds.max.abs()).max_element();
         found.clear();
         index.query(&Region::cuboid(&Aabb { min: bounds.min - off, max: bounds.max + off }), &mut found);
         steps += 1 + found.count() as u64;

@@ -11,7 +11,7 @@ use crate::world::World;
 use glam::DVec3;
 use std::collections::HashMap;
 
-/// Largest distance between things that touch, metres; the same as in generated layers.
+/// Maximum distance between touching features and polygons, metres, as in generated layers.
 const TOUCH: f64 = 5e-4;
 
 /// Surfaces by index of the feature.

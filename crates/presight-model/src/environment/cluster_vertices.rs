@@ -1,14 +1,14 @@
 //! The vertices of each cluster, stored contiguously and each only once. A triangle mesh has half as many vertices as
 //! triangles, and six times as many corners as vertices.
 
-use super::mesh::{Cluster, PolygonRecord};
+use super::mesh::polygon::{Cluster, PolygonRecord};
 use glam::Vec3;
 
 /// Vertices that are processed together.
 const TOGETHER: usize = 8;
 
-/// Most vertices that a cluster may have; local indices are one byte.
-const MOST: usize = 256;
+/// Maximum number of vertices of a cluster: local indices are one byte.
+pub const MAX_VERTICES: usize = 256;
 
 /// Eight positions, by axis.
 pub type Positions = [[f32; TOGETHER]; 3];
@@ -36,7 +36,7 @@ impl ClusterVertices {
         };
         // For each vertex: the last cluster in which it occurred, and its index there.
         let mut met = vec![(u32::MAX, 0u8); vertices.len()];
-        let mut own: Vec<Vec3> = Vec::with_capacity(MOST);
+        let mut own: Vec<Vec3> = Vec::with_capacity(MAX_VERTICES);
         for (number, cluster) in (0u32..).zip(clusters) {
             own.clear();
             let (first, last) = (cluster.first as usize, (cluster.first + cluster.count) as usize - 1);
@@ -50,7 +50,7 @@ impl ClusterVertices {
                 }
                 *local = met[vertex].1;
             }
-            if own.len() <= MOST {
+            if own.len() <= MAX_VERTICES {
                 made.positions.extend(own.chunks(TOGETHER).map(|some| {
                     let at = |i: usize| some[i.min(some.len() - 1)];
                     [0, 1, 2].map(|axis| std::array::from_fn(|i| at(i)[axis]))

@@ -1,26 +1,33 @@
 //! The content hash: equal for environments with the same content, however they were built.
 //!
 //! BLAKE3 over this canonical encoding, version 3. An environment without marks and trust uses version 2, which omits
-//! their lists; one in which also no group was given a frame uses version 1, which omits the list of groups, too. Older
-//! hashes thus stay valid.
-//! Integers and floats are little-endian; floats are encoded by their bits (so -0 is not 0). `text` is its length in
-//! bytes as u32, then UTF-8. `list` is its length as u32, then the items. An optional value is a byte 0, or 1 and the
-//! value. Matrices are written column by column.
+//! their lists. If furthermore no group has a frame, version 1 applies, which also omits the list of groups. Older
+//! hashes thus stay valid. Integers and floats are little-endian; floats are encoded by their bits (so -0 is not 0).
+//! `text` is its length in bytes as u32, then UTF-8. `list` is its length as u32, then the items. An optional value is
+//! a byte 0, or 1 and the value. Matrices are written column by column.
 //!
-//! | what | encoding |
-//! |---|---|
-//! | environment | text `presight content 3`; list of objects by rising name; list of groups that were given a frame and have objects below, by rising path; list of layers that hold something, by rising class; list of marks by rising name; list of (text object; 3 f64 trust as of a feature) by rising object. Version 2: `presight content 2`; objects; groups; layers. Version 1: `presight content 1`; objects; layers |
-//! | mark | text name; text object; u8: 1 uncertain, 2 absent; optional text class; optional 6 f64: least and greatest corner of its box |
-//! | group | text path; `world_from_group` as f64 x y z qx qy qz qw |
-//! | object | text name; `world_from_object` as f64 x y z qx qy qz qw; `object_from_mesh` as 12 f64; u32 `first_source`; hash of its mesh |
-//! | mesh | text name; list of vertices, each 3 f32; list of polygons; list of hashes of its materials, in the order in which its polygons first use them |
-//! | polygon | list of corners, u32; u32 place of its material in the mesh's list; u32 `source` |
-//! | material | text name; f64 reflection; u8 one-sided; 3 f32 colour; list of (text class; u8: 1 transparent, 2 invisible) by rising class |
-//! | layer | text class; f64 tolerance; list of (text object; 36 f64 pose covariance) by rising object; list of features |
-//! | feature | u32 id; optional text name; optional text object; u8 shape: 0 point, 1 segment, 2 patch, 3 reflector, 4 fiducial, 5 contour; list of points, each 3 f64; list of covariances, each 9 f64 (a segment has three: both ends', then the cross-covariance); a fiducial's text family and u32 code; a contour's f64 crease angle in degrees; f64 p0, confirmed, rate; optional f64 strength; optional f64 contrast; optional 3 f64 normal |
+//! - environment: text `presight content 3`; list of objects by rising name; list of groups that were given a frame and
+//!   have objects below, by rising path; list of layers that hold something, by rising class; list of marks by rising
+//!   name; list of (text object; 3 f64 trust as of a feature) by rising object. Version 2: `presight content 2`;
+//!   objects; groups; layers. Version 1: `presight content 1`; objects; layers
+//! - mark: text name; text object; u8: 1 uncertain, 2 absent; optional text class; optional 6 f64: minimum and maximum
+//!   corner of its box
+//! - group: text path; `world_from_group` as f64 x y z qx qy qz qw
+//! - object: text name; `world_from_object` as f64 x y z qx qy qz qw; `object_from_mesh` as 12 f64; u32 `first_source`;
+//!   hash of its mesh
+//! - mesh: text name; list of vertices, each 3 f32; list of polygons; list of hashes of its materials, in the order in
+//!   which its polygons first use them
+//! - polygon: list of corners, u32; u32 place of its material in the mesh's list; u32 `source`
+//! - material: text name; f64 reflection; u8 one-sided; 3 f32 colour; list of (text class; u8: 1 transparent, 2
+//!   invisible) by rising class
+//! - layer: text class; f64 tolerance; list of (text object; 36 f64 pose covariance) by rising object; list of features
+//! - feature: u32 id; optional text name; optional text object; u8 shape: 0 point, 1 segment, 2 patch, 3 reflector, 4
+//!   fiducial, 5 contour; list of points, each 3 f64; list of covariances, each 9 f64 (a segment has three: both ends',
+//!   then the cross-covariance); a fiducial's text family and u32 code; a contour's f64 crease angle in degrees; f64
+//!   p0, confirmed, rate; optional f64 strength; optional f64 contrast; optional 3 f64 normal
 //!
-//! Not encoded, because it is not content: numbers and slots of objects, deleted objects, the order in which things
-//! were added, materials that no polygon has, frames of groups without objects below, layers without features and
+//! Not encoded, because they are not content: indices and slots of objects, deleted objects, the order of insertion,
+//! materials that no polygon has, frames of groups without objects below, layers without features and
 //! covariances, sharing of meshes, clusters and indexes.
 
 use super::{Appearance, Environment, Feature, FeatureLayer, FeatureShape, MarkKind, Material, Mesh, Object};
@@ -47,7 +54,7 @@ impl Environment {
     /// let mut environment = Environment::new();
     /// let empty = environment.content_hash();
     /// environment.add_material(Material::named("paint"))?;
-    /// assert_eq!(environment.content_hash(), empty, "nothing is painted with it");
+    /// assert_eq!(environment.content_hash(), empty, "no polygon has it");
     /// assert_eq!(empty.to_string().len(), 64);
     /// # Ok::<(), presight::Error>(())
     /// ```
@@ -364,7 +371,7 @@ mod tests {
         for (i, hash) in all.iter().enumerate() {
             assert!(!all[..i].contains(hash), "{i}");
         }
-        assert_eq!(with(&[("d", 1.0), ("a/b/c/d", 1.0)]), all[0], "nothing is below");
+        assert_eq!(with(&[("d", 1.0), ("a/b/c/d", 1.0)]), all[0], "the group is empty");
         assert_eq!(with(&[("a/b", 2.0), ("a", 1.0)]), with(&[("a", 1.0), ("a/b", 2.0)]));
     }
 

@@ -40,8 +40,8 @@ impl Mesh {
 }
 
 impl Environment {
-    /// Adds a box with its centre at a pose, and returns its index (`object_id` in images minus one). `size` is its extent
-    /// along its own axes, metres. All such boxes share one opaque material, `plain`.
+    /// Adds a box with its centre at a pose, and returns its index (`object_id` in images minus one). `size` is its
+    /// extent along its own axes, metres. All such boxes share one opaque material, `plain`.
     ///
     /// ```
     /// use presight::Pose;

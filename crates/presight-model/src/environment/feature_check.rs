@@ -2,7 +2,7 @@
 
 use super::{Existence, Feature, FeatureLayer, FeatureShape};
 use crate::error::{Error, Result, short, short_point};
-use crate::geometry::{Aabb, plane_of_polygon};
+use crate::geometry::{Aabb, PLANARITY, plane_of_polygon};
 use crate::limits;
 use crate::matrix::cholesky;
 use crate::threads::parallel_or_here;
@@ -20,9 +20,7 @@ const UNIT: f64 = 1e-9;
 const SQUARE: f64 = 0.05;
 /// Cosine of the largest allowed angle between a surface's normal and that of its corners, 8 degrees.
 const AGREE: f64 = 0.99;
-/// How far a patch's corner may lie inside the hull of the others, relative to the patch size; as for polygons.
-const CONVEX: f64 = 4e-6;
-/// Most corners of a patch.
+/// Maximum number of corners of a patch.
 const MAX_PATCH_CORNERS: usize = 1024;
 
 /// Number of codes in OpenCV's dictionaries.
@@ -205,7 +203,7 @@ impl FeatureShape {
                 for (k, covariance) in covariances.iter().enumerate() {
                     check_covariance(&rows(covariance)).map_err(|e| e.at(format!("end {k}")))?;
                 }
-                // Without a cross-covariance, both ends being valid suffices.
+                // Without a cross-covariance the segment is valid if both ends are.
                 if *cross == DMat3::ZERO {
                     return Ok(());
                 }
@@ -251,7 +249,7 @@ fn check_patch(corners: &[DVec3], tolerance: f64) -> Result<()> {
         false => Error::invalid("the patch has no area", "give corners that are not on one line"),
     })?;
     let size = Aabb::of(corners.iter().copied()).size();
-    let dent = CONVEX * size;
+    let dent = PLANARITY * size;
     // Relative to the first corner: in world coordinates the plane's offset would be rounded.
     let offset = plane.normal.dot(corners.iter().map(|c| *c - corners[0]).sum::<DVec3>() / n as f64);
     let mut turned = 0.0;

@@ -42,7 +42,7 @@ impl Environment {
         let mut found = BTreeMap::new();
         let mut last = "";
         for name in self.names.keys() {
-            // Names are sorted, so the paths shared with the previous name are known already.
+            // Names are sorted, so `found` already has the paths shared with the previous name.
             let shared = last.bytes().zip(name.bytes()).take_while(|(a, b)| a == b).count();
             for (at, _) in name.match_indices('/').filter(|(at, _)| *at >= shared) {
                 let path = &name[..at];

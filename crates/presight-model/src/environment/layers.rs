@@ -43,7 +43,7 @@ impl Environment {
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if the layer is invalid, names an object that does not exist, or repeats an id or
-    /// an object's pose covariance. Then nothing is added.
+    /// an object's pose covariance. The environment is then unchanged.
     pub fn add_layer(&mut self, layer: FeatureLayer) -> Result<()> {
         let place = format!("layer for class {:?}", layer.class);
         self.check_new_layer(&layer).map_err(|e| e.at(place))?;

@@ -14,7 +14,7 @@ pub enum MarkKind {
     Uncertain,
     /// It is not there for sensors of the mark's class, and is not predicted for them.
     Absent,
-    /// Nobody saw this place: the surface of the object may go on in the box. Nothing is predicted there.
+    /// No sensor saw this region: the surface of the object may continue in the box. It is left out of predictions.
     Unseen,
 }
 

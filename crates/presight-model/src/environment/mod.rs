@@ -14,7 +14,7 @@ mod open;
 mod paths;
 mod revert;
 
-pub use cluster_vertices::Positions;
+pub use cluster_vertices::{MAX_VERTICES, Positions};
 pub use content_hash::ContentHash;
 pub use cuboid::{CUBOID_FACES, cuboid_corners};
 pub use feature::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
@@ -171,7 +171,7 @@ pub struct Environment {
     objects: Vec<Object>,
     materials: Vec<Material>,
     layers: Vec<FeatureLayer>,
-    /// The content of the layers while many changes are made at once, by class ([`Environment::open_layers`]).
+    /// The content of the layers during a series of changes, by class ([`Environment::open_layers`]).
     open: Option<BTreeMap<String, open::OpenLayer>>,
     /// Sorted, so that everything below a path follows it.
     names: BTreeMap<String, u32>,
@@ -288,7 +288,7 @@ impl Environment {
         groups::below(&self.names, path).map(|(_, index)| *index)
     }
 
-    /// Adds an object with the index and slots that it had before. The numbers skipped on the way stay unused.
+    /// Adds an object with the index and slots that it had before. Skipped numbers stay unused.
     pub fn insert_at(&mut self, index: u32, first_slot: u32, new: NewObject) -> Result<()> {
         let name = new.name.clone();
         if self.names.contains_key(&name) {

@@ -1,5 +1,5 @@
-//! Feature layers while many features change at once. In a list, every insertion and removal shifts all later features,
-//! and finding the features of an object scans them all: minutes for a hundred thousand features.
+//! Feature layers during a series of changes. In a list, every insertion and removal shifts all later features, and
+//! finding the features of an object scans them all: minutes for a hundred thousand features.
 
 use super::{Environment, Feature};
 use crate::geometry::{InObject, PoseCovariance};

@@ -1,4 +1,4 @@
-//! Least squares: heights as a plane or a quadratic surface.
+//! Heights as a plane or a quadratic surface, by least squares.
 
 use glam::DVec3;
 
@@ -78,7 +78,7 @@ impl<const N: usize> Fit<N> {
         solve(self.matrix, self.right)
     }
 
-    /// The height at x = y = 0, and its variance for a variance of one in each height. Weights must be 1.
+    /// The height at x = y = 0, and its variance if each height has variance 1. Weights must be 1.
     pub fn middle(&self) -> Option<(f64, f64)> {
         let mut first = [0.0; N];
         first[0] = 1.0;

@@ -22,7 +22,7 @@ pub const DEVIATIONS: f64 = 3.0;
 /// Planes of an object within a tolerance.
 #[derive(Debug, Default)]
 pub struct FlatSurfaces {
-    /// Largest distance of facets from their plane, metres; 0 for a designed mesh.
+    /// Maximum distance of facets from their plane, metres; 0 for a designed mesh.
     pub tolerance: f64,
     /// Planes in the order in which they were found, the flattest first.
     pub surfaces: Vec<FlatSurface>,
@@ -44,10 +44,10 @@ pub struct FlatSurface {
 pub struct FlatOptions {
     /// The tolerance in metres; `None` for the noise of the mesh, times [`DEVIATIONS`].
     pub tolerance: Option<f64>,
-    /// Largest standard deviation that is noise, metres.
-    pub most_noise: f64,
-    /// Smallest area of a plane, square metres.
-    pub least_area: f64,
+    /// Maximum standard deviation of noise, metres.
+    pub max_noise: f64,
+    /// Minimum area of a plane, square metres.
+    pub min_area: f64,
 }
 
 impl FlatSurfaces {
@@ -58,19 +58,19 @@ impl FlatSurfaces {
             return none;
         }
         let facets = Facets::new(edges);
-        if facets.areas.iter().sum::<f64>() < options.least_area {
+        if facets.areas.iter().sum::<f64>() < options.min_area {
             return none;
         }
         if options.tolerance.is_none() && (noise::is_exact(&facets) || !noise::is_noisy(&facets)) {
             return none;
         }
-        // A square of the least area reaches this far from its middle.
-        let seeds = noise::seeds(&facets, 0.5 * options.least_area.sqrt());
-        let measured = || DEVIATIONS * noise::typical(&seeds).min(options.most_noise);
+        // A square of the minimum area reaches this far from its middle.
+        let seeds = noise::seeds(&facets, 0.5 * options.min_area.sqrt());
+        let measured = || DEVIATIONS * noise::typical(&seeds).min(options.max_noise);
         let tolerance = options.tolerance.unwrap_or_else(measured);
         if !(tolerance > 0.0) {
             return none;
         }
-        Self { tolerance, surfaces: grow::planes(&facets, &seeds, tolerance, options.least_area) }
+        Self { tolerance, surfaces: grow::planes(&facets, &seeds, tolerance, options.min_area) }
     }
 }

@@ -1,4 +1,4 @@
-//! How far noise moves the corners of a scanned mesh off its surfaces.
+//! Noise of a scanned mesh: distances of its corners from its surfaces.
 //!
 //! A designed mesh has no noise: most of its area is in facets that are exactly coplanar with a neighbour, or its
 //! corners lie on smooth surfaces, which a quadratic surface approximates far better than a plane. Noise has no shape,
@@ -6,18 +6,17 @@
 
 use super::facets::Facets;
 use super::fit::{Fit, Frame, PLANE, QUADRATIC, above, deviation};
+use crate::geometry::PLANARITY;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashSet;
 
-/// The distance within which facets are coplanar, relative to coordinates: the error of f32 corners.
-const COPLANAR: f64 = 4e-6;
 /// A quadratic surface approximates curvature, and not noise, if it leaves less than this share of a plane's errors.
 const CURVED: f64 = 0.5;
-/// Most corners, and most neighbourhoods, that are examined.
-const MOST: usize = 1024;
-/// With fewer corners inside the surface the noise is not known.
-const FEWEST: usize = 64;
+/// Maximum number of corners, and of neighbourhoods, to examine.
+const MAX_SAMPLES: usize = 1024;
+/// Minimum number of corners inside the surface for an estimate of the noise.
+const MIN_CORNERS: usize = 64;
 
 /// The neighbourhood of a facet: a plane approximates it.
 #[derive(Clone, Copy, Debug)]
@@ -38,7 +37,7 @@ pub(super) fn is_exact(facets: &Facets<'_>) -> bool {
     let coplanar = |polygon: u32, other: u32| {
         let Some(normal) = edges.normals[polygon as usize] else { return false };
         let at = edges.centers[polygon as usize];
-        facets.corners_of(other).all(|c| normal.dot(facets.position(c) - at).abs() <= COPLANAR * far)
+        facets.corners_of(other).all(|c| normal.dot(facets.position(c) - at).abs() <= PLANARITY * far)
     };
     let is_designed = |polygon: u32| {
         edges.edges_of(polygon).len() > 3 || facets.beside(polygon).any(|other| coplanar(polygon, other))
@@ -53,13 +52,13 @@ pub(super) fn is_noisy(facets: &Facets<'_>) -> bool {
     let count = facets.edges.positions.len() as u32;
     let inside: Vec<u32> = (0..count).filter(|c| is_inside(facets, *c)).collect();
     let area = |corners: &mut dyn Iterator<Item = u32>| corners.map(|c| facets.corner_areas[c as usize]).sum::<f64>();
-    if inside.len() < FEWEST || area(&mut inside.iter().copied()) < 0.5 * area(&mut (0..count)) {
+    if inside.len() < MIN_CORNERS || area(&mut inside.iter().copied()) < 0.5 * area(&mut (0..count)) {
         return false;
     }
-    let step = inside.len().div_ceil(MOST);
+    let step = inside.len().div_ceil(MAX_SAMPLES);
     let errors: Vec<[f64; 2]> = inside.par_iter().step_by(step).filter_map(|c| errors_at(facets, *c)).collect();
     let [plane, quadratic] = [0, 1].map(|k| deviation(errors.iter().map(|e| (e[k], 1.0)).collect()));
-    errors.len() >= FEWEST.min(inside.len() / step) && quadratic >= CURVED * plane && plane > 0.0
+    errors.len() >= MIN_CORNERS.min(inside.len() / step) && quadratic >= CURVED * plane && plane > 0.0
 }
 
 /// Returns true if two facets meet at each edge of a corner.
@@ -82,7 +81,7 @@ fn errors_at(facets: &Facets<'_>, corner: u32) -> Option<[f64; 2]> {
     let unit = around.iter().map(|c| facets.position(*c).distance(at)).fold(0.0, f64::max);
     let frame = Frame::new(at, normal, unit);
     let places = || around.iter().map(|c| (frame.place(facets.position(*c)), 1.0));
-    // As many places as terms leave no error.
+    // With as many points as terms there is no error.
     let (plane, quadratic) = (Fit::<PLANE>::of(places()).middle()?, Fit::<QUADRATIC>::of(places()).middle()?);
     (around.len() > QUADRATIC)
         .then(|| [plane, quadratic].map(|(height, variance)| height.abs() / (1.0 + variance).sqrt()))
@@ -101,9 +100,9 @@ pub(super) fn seeds(facets: &Facets<'_>, radius: f64) -> Vec<Seed> {
     seeds
 }
 
-/// Standard deviation of corners from the planes among some neighbourhoods, metres: the median. 0 if none is plane.
+/// Standard deviation of corners from the planes among some neighbourhoods, metres: the median. 0 if all are curved.
 pub(super) fn typical(seeds: &[Seed]) -> f64 {
-    let step = seeds.len().div_ceil(MOST).max(1);
+    let step = seeds.len().div_ceil(MAX_SAMPLES).max(1);
     deviation(
         seeds.iter().filter(|s| !s.curved).step_by(step).map(|s| (s.noise * 0.674_489_750_196_082, 1.0)).collect(),
     )
@@ -124,7 +123,7 @@ fn seed(facets: &Facets<'_>, polygon: u32, radius: f64) -> Option<Seed> {
     Some(Seed { polygon, frame, plane, noise, curved })
 }
 
-/// A surface through most of some places, and the standard deviation of those from it. Places far off do not count.
+/// A surface fitted to points without outliers, and the standard deviation of the points from it.
 fn fitted<const N: usize>(places: &[([f64; 3], f64)]) -> Option<([f64; N], f64)> {
     let mut c = Fit::<N>::of(places.iter().copied()).solve()?;
     let spread = |c: &[f64; N]| deviation(places.iter().map(|(p, weight)| (above(*p, c).abs(), *weight)).collect());

@@ -5,9 +5,9 @@ use glam::{DAffine3, DVec3};
 /// An axis-aligned box; empty when `min > max`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aabb {
-    /// Least corner, metres.
+    /// Minimum corner, metres.
     pub min: DVec3,
-    /// Greatest corner, metres.
+    /// Maximum corner, metres.
     pub max: DVec3,
 }
 

@@ -26,7 +26,7 @@ pub struct InObject;
 ///
 /// ```
 /// use presight::{InObject, InWorld, Pose, PoseCovariance};
-/// // A door is known to 1 cm across its leaf (its own x), and stands turned by 90 degrees.
+/// // The position of a door has a standard deviation of 1 cm across its leaf (its own x). It is turned by 90 degrees.
 /// let own = PoseCovariance::<InObject>::from_sigmas([0.01, 0.0, 0.0, 0.0, 0.0, 0.0]);
 /// let world_from_door = Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, 90f64.to_radians());
 /// let in_world: PoseCovariance<InWorld> = own.in_world(&world_from_door);
@@ -196,7 +196,7 @@ impl<'de, A> Deserialize<'de> for PoseCovariance<A> {
     }
 }
 
-/// The pose of the robot in the world, and how well it is known.
+/// The pose of the robot in the world, with its uncertainty.
 ///
 /// ```
 /// use presight::{Pose, PoseEstimate};
@@ -211,7 +211,7 @@ impl<'de, A> Deserialize<'de> for PoseCovariance<A> {
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseEstimate {
-    /// The pose of the robot; a sensor's is [`PoseEstimate::world_from_sensor`].
+    /// The pose of the robot. [`PoseEstimate::world_from_sensor`] gives the pose of a sensor.
     pub world_from_robot: Pose,
     /// The covariance of that pose, along the axes of the world.
     pub covariance: PoseCovariance<InWorld>,
@@ -223,7 +223,7 @@ impl PoseEstimate {
         Self { world_from_robot, covariance }
     }
 
-    /// A pose that is known exactly.
+    /// A pose without uncertainty.
     pub fn exact(world_from_robot: Pose) -> Self {
         Self::new(world_from_robot, PoseCovariance::ZERO)
     }
@@ -234,7 +234,7 @@ impl PoseEstimate {
         Self::new(world_from_robot, PoseCovariance::from_sigmas([t, t, t, r, r, r]))
     }
 
-    /// From the pose of a sensor (body axes), its covariance, and its mount (`robot_from_sensor`).
+    /// The robot's pose from that of a sensor (body axes), its covariance, and its mount (`robot_from_sensor`).
     pub fn of_sensor(world_from_sensor: &Pose, covariance: &PoseCovariance<InWorld>, mount: &Pose) -> Self {
         let world_from_robot = *world_from_sensor * mount.inverse();
         let lever = world_from_robot.translation - world_from_sensor.translation;
@@ -286,7 +286,7 @@ mod tests {
         assert!((0..36).all(|k| apart(k / 6, k % 6) < 1e-12));
     }
 
-    /// A turn by 90 degrees about z makes an object's x the world's y; the way back undoes it.
+    /// A turn by 90 degrees about z makes an object's x the world's y; the inverse turn undoes it.
     #[test]
     fn covariances_turn_with_their_axes() {
         let own = PoseCovariance::<InObject>::from_sigmas([0.1, 0.0, 0.0, 0.0, 0.2, 0.0]);

@@ -8,7 +8,7 @@ mod trig;
 
 pub use aabb::Aabb;
 pub use covariance::{InObject, InRobot, InWorld, PoseCovariance, PoseEstimate};
-pub use plane::plane_of_loop;
-pub use plane::{Plane, plane_of_polygon};
+pub(crate) use plane::PLANARITY;
+pub use plane::{Plane, plane_of_loop, plane_of_polygon};
 pub use pose::Pose;
 pub use trig::{quat_deg, rotation_deg, sin_cos_deg, sin_cos_of_turn};

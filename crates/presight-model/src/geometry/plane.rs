@@ -2,6 +2,10 @@
 
 use glam::DVec3;
 
+/// Relative error of planar polygons with f32 corners: distance of a corner from the plane over the largest coordinate
+/// extent. It covers rounding and the residual of merging.
+pub(crate) const PLANARITY: f64 = 4e-6;
+
 /// `normal . p = offset` for every point p of the plane; `normal` has unit length.
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]

@@ -86,7 +86,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn degrees_and_turns_are_what_the_standard_library_says(deg in -2000.0..2000.0f64, k in 0..5000u32, n in 1..5000u32) {
+        fn degrees_and_turns_agree_with_the_standard_library(
+            deg in -2000.0..2000.0f64,
+            k in 0..5000u32,
+            n in 1..5000u32,
+        ) {
             let (s, c) = sin_cos_deg(deg);
             let (s2, c2) = deg.to_radians().sin_cos();
             prop_assert!((s - s2).abs() < 1e-14 * deg.abs().max(1.0) && (c - c2).abs() < 1e-14 * deg.abs().max(1.0));

@@ -10,9 +10,9 @@ pub const LANES: usize = 8;
 /// A box in f32 relative to an origin; contains the box from which it was made.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Box32 {
-    /// Least corner, metres.
+    /// Minimum corner, metres.
     pub min: [f32; 3],
-    /// Greatest corner, metres.
+    /// Maximum corner, metres.
     pub max: [f32; 3],
 }
 
@@ -41,7 +41,7 @@ impl Box32 {
         self.min[axis] + self.max[axis]
     }
 
-    /// The least box that holds both.
+    /// The smallest box that holds both.
     #[inline]
     pub fn union(&self, other: &Self) -> Self {
         let mut all = *self;
@@ -90,7 +90,7 @@ impl Shift {
         Self { low, high, flat }
     }
 
-    /// The same, with boxes grown by a slack on all sides.
+    /// This offset for boxes grown by a slack on all sides.
     #[must_use]
     pub(super) fn grown(self, slack: f64) -> Self {
         Self { low: self.low - slack, high: self.high + slack, ..self }

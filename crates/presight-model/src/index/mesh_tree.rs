@@ -62,7 +62,7 @@ impl MeshTree {
         Self::with_boxes(mesh, boxes)
     }
 
-    /// The tree of a mesh whose polygon boxes are known.
+    /// The tree of a mesh with the given boxes of its polygons.
     pub fn with_boxes(mesh: &Mesh, PolygonBoxes(boxes): PolygonBoxes) -> Self {
         assert_eq!(boxes.len(), mesh.polygon_count().div_ceil(LANES));
         let clusters: Vec<Box32> = mesh.clusters().iter().map(|c| Box32::around(&c.bounds, DVec3::ZERO)).collect();

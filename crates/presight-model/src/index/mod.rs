@@ -29,7 +29,7 @@ pub use {
 use crate::geometry::Aabb;
 use boxes::Box32;
 
-/// How a world finds its polygons.
+/// Method by which a world finds its polygons.
 #[derive(Clone, Debug)]
 pub enum IndexKind {
     /// No index: every cluster of every object is tested.
@@ -59,9 +59,9 @@ pub enum SplitAxis {
 /// Tuning parameters. The default holds the best values of `presight index --sweep` for trees (benches/RESULTS.md).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
-    /// Least size of a cell, metres.
-    pub least_cell: f64,
-    /// Most polygons per cell; a cell with more is split.
+    /// Minimum size of a cell, metres.
+    pub min_cell: f64,
+    /// Maximum number of polygons per cell; a cell with more is split.
     pub cell_polygons: usize,
     /// For spatial-kD trees.
     pub split_axis: SplitAxis,
@@ -71,7 +71,7 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Self {
-        Self { least_cell: 0.0, cell_polygons: 64, split_axis: SplitAxis::Longest, filter: true }
+        Self { min_cell: 0.0, cell_polygons: 64, split_axis: SplitAxis::Longest, filter: true }
     }
 }
 

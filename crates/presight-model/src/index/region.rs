@@ -36,7 +36,7 @@ pub(super) enum Form {
 }
 
 impl Region {
-    /// Most planes of a frustum.
+    /// Maximum number of planes of a frustum.
     pub const MAX_PLANES: usize = shapes::MAX_PLANES;
 
     /// A circular sector of any height: apex in the world's horizontal plane, heading and opening in radians
@@ -92,7 +92,8 @@ impl Region {
     }
 
     /// A pyramid with its apex at `apex`, given by inward unit normals (world axes) of planes through the apex, and a
-    /// radius in metres. Planes beyond [`Region::MAX_PLANES`] are ignored, which keeps too much. Without planes: a ball.
+    /// radius in metres. Planes beyond [`Region::MAX_PLANES`] are ignored, which keeps too much. Without planes: a
+    /// ball.
     pub fn frustum(apex: DVec3, normals: &[DVec3], radius: f64) -> Self {
         let form = Form::Frustum(pyramid(normals, radius));
         Self { origin: apex, region_from_world: DMat3::IDENTITY, form }
@@ -160,7 +161,7 @@ impl Region {
         }
     }
 
-    /// The same for boxes of another frame, where `region_from_box` is the linear part of the transform.
+    /// [`Region::with`] for boxes of another frame, where `region_from_box` is the linear part of the transform.
     #[inline(always)]
     pub(super) fn with_turned<V: ShapeVisitor>(&self, region_from_box: DMat3, visitor: V) -> V::Out {
         let axes = Axes::of(region_from_box);

@@ -6,9 +6,9 @@ use std::f64::consts::{PI, TAU};
 /// A rectangle relative to the sector's apex.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rect {
-    /// Least corner, metres.
+    /// Minimum corner, metres.
     pub min: DVec2,
-    /// Greatest corner, metres.
+    /// Maximum corner, metres.
     pub max: DVec2,
 }
 
@@ -51,7 +51,7 @@ impl Sector {
         Self { wedge, complement: Wedge::new(heading + PI, TAU - opening.clamp(0.0, TAU), false), radius }
     }
 
-    /// The same sector in a plane with other axes: `turn` is a rotation or reflection that maps directions to it, and
+    /// This sector in a plane with other axes: `turn` is a rotation or reflection that maps directions to it, and
     /// `scale` is the length there of a metre here.
     pub(super) fn in_axes(&self, turn: DMat2, scale: f64) -> Self {
         let mirrored = turn.determinant() < 0.0;
@@ -216,7 +216,12 @@ mod tests {
 
         /// Exact to 1e-9 m in both directions.
         #[test]
-        fn meets_as_the_witness_points_say(r in rect(), heading in angle(), opening in opening(), radius in 0.01..9.0f64) {
+        fn meets_agrees_with_witness_points(
+            r in rect(),
+            heading in angle(),
+            opening in opening(),
+            radius in 0.01..9.0f64,
+        ) {
             let met = Sector::new(heading, opening, radius).meets(&r);
             if oracle(heading, opening, radius, &r, -1e-9) {
                 prop_assert!(met);

@@ -4,7 +4,7 @@ use super::sector::{Rect, Sector, greater, lesser};
 use crate::geometry::Aabb;
 use glam::{DMat2, DMat3, DVec2, DVec3};
 
-/// Most planes of a frustum.
+/// Maximum number of planes of a frustum.
 pub(super) const MAX_PLANES: usize = 6;
 
 /// Margin of angles, radians: a region may hold too much, never too little.
@@ -78,14 +78,14 @@ impl Ray {
     }
 }
 
-/// A shape whose axes are rotated (or scaled) relative to those of the boxes.
+/// A shape whose axes are rotated (or scaled) relative to the axes of the boxes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RotatedShape<S> {
     pub shape: S,
     pub shape_from_box: DMat3,
 }
 
-/// A frustum whose axes are rotated relative to those of the boxes.
+/// A frustum whose axes are rotated relative to the axes of the boxes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RotatedFrustum {
     planes: Frustum,
@@ -256,7 +256,7 @@ impl Shape for Segment {
     }
 }
 
-/// Greatest squared distance from the origin to a point of the box.
+/// Maximum squared distance from the origin to a point of the box.
 #[inline(always)]
 fn farthest_squared(b: &Aabb) -> f64 {
     b.min.abs().max(b.max.abs()).length_squared()

@@ -50,31 +50,31 @@ pub struct Motion {
 #[non_exhaustive]
 pub struct OdometryNoise {
     /// Metres along each axis per metre driven.
-    pub way: f64,
+    pub distance: f64,
     /// Radians per radian turned.
     pub turn: f64,
     /// Radians per metre driven.
-    pub turn_on_way: f64,
+    pub turn_per_distance: f64,
     /// Constant part, metres.
-    pub least: f64,
+    pub constant: f64,
     /// Constant part, radians.
-    pub least_turn: f64,
+    pub constant_turn: f64,
 }
 
 impl Default for OdometryNoise {
     /// Slipping wheels, typical of robots without a calibration.
     fn default() -> Self {
-        Self { way: 0.1, turn: 0.1, turn_on_way: 0.05, least: 0.01, least_turn: 0.005 }
+        Self { distance: 0.1, turn: 0.1, turn_per_distance: 0.05, constant: 0.01, constant_turn: 0.005 }
     }
 }
 
 crate::with_options!(
     OdometryNoise:
-    with_way way: f64,
+    with_distance distance: f64,
     with_turn turn: f64,
-    with_turn_on_way turn_on_way: f64,
-    with_least least: f64,
-    with_least_turn least_turn: f64,
+    with_turn_per_distance turn_per_distance: f64,
+    with_constant constant: f64,
+    with_constant_turn constant_turn: f64,
 );
 
 impl Motion {
@@ -85,14 +85,14 @@ impl Motion {
     /// use presight::Pose;
     /// use presight::measured::{Motion, OdometryNoise};
     /// let ahead = Pose::from_xyz_rpy(glam::DVec3::X, 0.0, 0.0, 0.0);
-    /// let motion = Motion::of_odometry(ahead, &OdometryNoise::default().with_way(0.1).with_least(0.02));
+    /// let motion = Motion::of_odometry(ahead, &OdometryNoise::default().with_distance(0.1).with_constant(0.02));
     /// assert!((motion.covariance[0][0].sqrt() - 0.12).abs() < 1e-12); // 10 cm of 1 m, and 2 cm
     /// ```
     pub fn of_odometry(previous_from_current: Pose, noise: &OdometryNoise) -> Self {
-        let way = previous_from_current.translation.length();
+        let distance = previous_from_current.translation.length();
         let turn = previous_from_current.rotation.angle_between(glam::DQuat::IDENTITY);
-        let metres = noise.way * way + noise.least;
-        let radians = noise.turn * turn + noise.turn_on_way * way + noise.least_turn;
+        let metres = noise.distance * distance + noise.constant;
+        let radians = noise.turn * turn + noise.turn_per_distance * distance + noise.constant_turn;
         let sigmas = [metres, metres, metres, radians, radians, radians];
         Self { previous_from_current, covariance: PoseCovariance::from_sigmas(sigmas) }
     }
@@ -117,7 +117,7 @@ pub struct Frame {
     /// Motion since the previous frame; `None` if unknown.
     pub motion: Option<Motion>,
     sensor: Sensor,
-    sensed: Measurement,
+    measurement: Measurement,
     ranges: Vec<f32>,
     intensities: Option<GreyImage>,
 }
@@ -127,15 +127,15 @@ impl Frame {
     /// measurement.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if the stamp is not finite,
-    /// or if depth is given for a sensor that is not a camera.
-    pub fn new(stamp: f64, sensor: Sensor, sensed: Measurement) -> Result<Self> {
+    /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if the stamp is not
+    /// finite, or if depth is given for a sensor that is not a camera.
+    pub fn new(stamp: f64, sensor: Sensor, measurement: Measurement) -> Result<Self> {
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
-        let values = sensed.values();
+        let values = measurement.values();
         if !stamp.is_finite() {
             return Err(Error::invalid(format!("a time stamp of {stamp}"), "give finite seconds"));
         }
-        if let Measurement::Grey(image) = &sensed {
+        if let Measurement::Grey(image) = &measurement {
             return Self::of_grey(stamp, sensor, image.clone());
         }
         if values.len() != width * height {
@@ -144,7 +144,7 @@ impl Frame {
                 "give one value per pixel, or the sensor that measured them",
             ));
         }
-        let mut ranges = match &sensed {
+        let mut ranges = match &measurement {
             Measurement::Range(values) => values.clone(),
             Measurement::DepthZ(values) => ranges_of_depth(&sensor, values)?,
             Measurement::Grey(_) => Vec::new(),
@@ -153,7 +153,7 @@ impl Frame {
         let limits = sensor.spec().range_min as f32..=sensor.spec().range_max as f32;
         let is_none = |r: f32| r == 0.0 || r.is_finite() && !limits.contains(&r);
         ranges.iter_mut().filter(|r| is_none(**r)).for_each(|r| *r = f32::NAN);
-        Ok(Self { stamp, motion: None, sensor, sensed, ranges, intensities: None })
+        Ok(Self { stamp, motion: None, sensor, measurement, ranges, intensities: None })
     }
 
     /// Adds the echo intensity of each pixel: 1 is as bright as a retro-reflector, NaN means no echo.
@@ -197,8 +197,8 @@ impl Frame {
         }
         // A grey image has no ranges.
         let ranges = vec![f32::NAN; image.values().len()];
-        let sensed = Measurement::Grey(image);
-        Ok(Self { stamp, motion: None, sensor, sensed, ranges, intensities: None })
+        let measurement = Measurement::Grey(image);
+        Ok(Self { stamp, motion: None, sensor, measurement, ranges, intensities: None })
     }
 
     /// The sensor that measured.
@@ -207,13 +207,13 @@ impl Frame {
     }
 
     /// The measured values as they were given.
-    pub fn sensed(&self) -> &Measurement {
-        &self.sensed
+    pub fn measurement(&self) -> &Measurement {
+        &self.measurement
     }
 
     /// The grey image; `None` if distances were measured.
     pub fn grey(&self) -> Option<&GreyImage> {
-        match &self.sensed {
+        match &self.measurement {
             Measurement::Grey(image) => Some(image),
             _ => None,
         }
@@ -224,8 +224,8 @@ impl Frame {
         self.intensities.as_ref()
     }
 
-    /// Metres along each ray, row by row, for any measurement. A 0 and a finite value outside of the sensor's limits are
-    /// NaN here; a grey image has only NaN.
+    /// Metres along each ray, row by row, for any measurement. A 0 and a finite value outside of the sensor's limits
+    /// are NaN here; a grey image has only NaN.
     pub fn ranges(&self) -> &[f32] {
         &self.ranges
     }
@@ -248,7 +248,7 @@ impl Frame {
             pixels.map(|(c, r)| values[r as usize * width as usize + c as usize]).collect::<Vec<f32>>()
         };
         let pick_image = |image: &GreyImage| GreyImage::new(columns.count, rows.count, pick(image.values()));
-        let sensed = match &self.sensed {
+        let measurement = match &self.measurement {
             Measurement::Range(values) => Measurement::Range(pick(values)),
             Measurement::DepthZ(values) => Measurement::DepthZ(pick(values)),
             Measurement::Grey(image) => Measurement::Grey(pick_image(image)?),
@@ -257,7 +257,7 @@ impl Frame {
             stamp: self.stamp,
             motion: self.motion,
             sensor: Sensor::new(spec)?,
-            sensed,
+            measurement,
             ranges: pick(&self.ranges),
             intensities: self.intensities.as_ref().map(pick_image).transpose()?,
         })

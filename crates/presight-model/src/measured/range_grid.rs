@@ -16,9 +16,9 @@ pub struct RangeGrid {
     pub ranges: Vec<f32>,
 }
 
-/// Greatest number of comparisons of points to find their spacing.
+/// Maximum number of comparisons of points to find their spacing.
 const COMPARISONS: usize = 20_000_000;
-/// Greatest number of pixels per point. With more, the cells are widened.
+/// Maximum number of pixels per point. If there would be more, the cells are widened.
 const MAX_CELLS: f64 = 4.0;
 
 /// Returns the range image of points in the sensor's body axes, metres: an organized cloud's own pixels, row by row, if

@@ -35,7 +35,7 @@ fn what_is_no_measurement_is_nan() {
         assert_eq!(with(kept).ranges()[9].to_bits(), kept.to_bits());
     }
     for none in [0.0, -0.0, -0.5, 0.099, 16.01, 65.533, f32::MAX] {
-        assert!(with(none).ranges()[9].is_nan() && with(none).sensed().values()[9] == none, "{none}");
+        assert!(with(none).ranges()[9].is_nan() && with(none).measurement().values()[9] == none, "{none}");
     }
     // The limits hold for the range, not for the depth: 12 m of depth in the corner are 14.2 m of range.
     let depth = |z: f32| Frame::new(0.0, Sensor::new(spec.clone()).unwrap(), Measurement::DepthZ(vec![z; 24])).unwrap();

@@ -12,8 +12,8 @@
 //! slack. Doubled, overlapping and crossing polygons, seams and T-junctions need no special case: sides of an H run
 //! inside their neighbours.
 
+use super::coplanar::CoplanarPart;
 use super::local::Local;
-use super::patch::CoplanarPart;
 use super::plane::{PatchPlane, bounds_of, clip, inside, sides, within};
 use super::segment::widest_gap;
 use crate::error::Result;
@@ -24,12 +24,12 @@ use std::f64::consts::TAU;
 
 /// Part of the tolerance by which a patch may exceed it between borders.
 pub(super) const SLACK: f64 = 1.0 / 16.0;
-/// Least distance of an H from its K, as a part of the tolerance.
+/// Minimum distance of an H from its K, relative to the tolerance.
 const MARGIN: f64 = 0.01;
 /// Evaluations in the search for a point farther off: eight around each of 64 steps.
 const FARTHER: usize = 8 * 64;
-/// Most corners cut off an H to bring it near its K. Each cut halves an angle, so few are needed.
-const MOST_CUTS: usize = 256;
+/// Maximum number of corners cut off an H to bring it near its K. Each cut halves an angle, so few are needed.
+const MAX_CUTS: usize = 256;
 
 /// A point of a convex outline that is off all polygons by more than the tolerance; `None` if all of it is covered. At
 /// least one corner must be on a polygon. `compare` is called with the number of pairs before polygons are compared.
@@ -127,7 +127,7 @@ impl CoplanarPart<'_> {
         let start = vec![low, DVec2::new(high.x, low.y), high, DVec2::new(low.x, high.y)];
         let mut around = compass.chain(outward).fold(start, |rest, n| cut(&rest, n));
         let most = (1.0 + SLACK) * self.local.reach + self.local.warp;
-        for _ in 0..MOST_CUTS {
+        for _ in 0..MAX_CUTS {
             let far = |p: &DVec2| self.local.distance(flat.lift(*p)) > most;
             let Some(k) = around.iter().position(far) else { break };
             let n = around.len();

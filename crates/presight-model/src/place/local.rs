@@ -11,9 +11,9 @@ pub(super) struct Local {
     /// `None` if the area is within rounding; then only its sides count.
     pub normal: Option<DVec3>,
     offset: f64,
-    /// Largest distance of its corners from its plane, metres.
+    /// Maximum distance of its corners from its plane, metres.
     pub warp: f64,
-    /// Largest distance of a point on it, metres: the tolerance plus rounding.
+    /// Maximum distance of a point on it, metres: the tolerance plus rounding.
     pub reach: f64,
 }
 

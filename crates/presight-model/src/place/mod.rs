@@ -14,6 +14,7 @@
 //! All computations use the frame of the feature's object, relative to the feature's first point. This keeps full
 //! precision 5,000,000 m from the origin.
 
+mod coplanar;
 mod cover;
 mod local;
 mod patch;
@@ -29,7 +30,7 @@ use crate::error::{Error, Result, short, short_point};
 use crate::geometry::{Aabb, Pose, plane_of_polygon};
 use crate::index::{QueryResult, Region};
 use crate::limits;
-use crate::placement::PlacedFeature;
+use crate::placed::PlacedFeature;
 use crate::threads::parallel;
 use crate::world::World;
 use glam::DVec3;
@@ -92,7 +93,8 @@ enum Support {
 ///     existence: Existence::default(),
 ///     properties: Properties::default(),
 /// };
-/// let layer = FeatureLayer { class: "video".into(), tolerance: 1e-3, features: vec![line.into()], ..Default::default() };
+/// let (class, features) = ("video".into(), vec![line.into()]);
+/// let layer = FeatureLayer { class, tolerance: 1e-3, features, ..Default::default() };
 /// let placed = place(&world, &layer)?;
 /// assert_eq!((placed[0].object, placed[0].slots.as_slice()), (Some(0), [0, 1].as_slice()));
 /// # Ok::<(), presight::Error>(())
@@ -140,7 +142,7 @@ struct SupportFinder<'a> {
     found: QueryResult,
     contours: ContourFinder<'a>,
     /// [`limits::MAX_PLACING_PAIRS`].
-    most_pairs: u64,
+    max_pairs: u64,
     /// The object found last, and its path: neighbours in a layer often share their object.
     last_object: Option<(&'a str, u32)>,
     /// Memory for the corners of a polygon.
@@ -203,9 +205,9 @@ impl<'a> SupportFinder<'a> {
             environment.index_of(object).map_err(|e| e.at(format!("pose covariance of object {object:?}")))?;
         }
         let contours = ContourFinder::new(environment, &layer.class);
-        let (tolerance, most_pairs) = (layer.tolerance, limits::MAX_PLACING_PAIRS);
+        let (tolerance, max_pairs) = (layer.tolerance, limits::MAX_PLACING_PAIRS);
         let (found, last_object, corners) = (QueryResult::default(), None, Vec::new());
-        Ok(Self { world, environment, tolerance, found, contours, most_pairs, last_object, corners })
+        Ok(Self { world, environment, tolerance, found, contours, max_pairs, last_object, corners })
     }
 
     fn place(&mut self, feature: &Arc<Feature>, lying: Result<Lying<'a>>) -> Result<PlacedFeature> {
@@ -220,16 +222,16 @@ impl<'a> SupportFinder<'a> {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if [`limits::MAX_PLACING_PAIRS`] is exceeded.
     fn lie_all(&self, layer: &'a FeatureLayer) -> Result<Vec<Result<Lying<'a>>>> {
-        /// Smallest number of features per parallel task.
+        /// Minimum number of features per parallel task.
         const BATCH: usize = 256;
         let features = layer.features.par_iter().with_min_len(BATCH);
         let pairs = AtomicU64::new(0);
         let lying = parallel(|| features.map_init(|| self.another(), |finder, f| finder.lie(f, &pairs)).collect())?;
-        if pairs.into_inner() > self.most_pairs { Err(self.too_many()) } else { Ok(lying) }
+        if pairs.into_inner() > self.max_pairs { Err(self.too_many()) } else { Ok(lying) }
     }
 
     fn too_many(&self) -> Error {
-        let (most, tolerance) = (self.most_pairs, short(self.tolerance));
+        let (most, tolerance) = (self.max_pairs, short(self.tolerance));
         let what = format!("over {most} polygons lie within the layer's tolerance of {tolerance} m of its features");
         Error::invalid(what, "give a smaller tolerance, or fewer features")
     }
@@ -261,7 +263,7 @@ impl<'a> SupportFinder<'a> {
         let boxes = boxes_around(&frame, &feature.shape);
         let about: Vec<DVec3> = points.iter().map(|p| *p - frame.anchor).collect();
         let tolerance = self.tolerance;
-        if pairs.load(Ordering::Relaxed) > self.most_pairs {
+        if pairs.load(Ordering::Relaxed) > self.max_pairs {
             return Err(self.too_many());
         }
         let slots = self.slots_near(&boxes);
@@ -403,15 +405,15 @@ impl<'a> SupportFinder<'a> {
 
 /// Boxes in the world that together contain the feature. A slanted segment has several, because one would be large.
 fn boxes_around(frame: &FeatureFrame<'_>, shape: &FeatureShape) -> Vec<Aabb> {
-    /// Most boxes along a segment.
-    const MOST: f64 = 16.0;
-    /// Shortest box, metres: each box is a query.
-    const SHORT: f64 = 0.5;
+    /// Maximum number of boxes along a segment.
+    const MAX_BOXES: f64 = 16.0;
+    /// Minimum length of a box, metres: each box is a query.
+    const MIN_LENGTH: f64 = 0.5;
     let points: Vec<DVec3> = shape.points().iter().map(|p| frame.to_world(*p)).collect();
     let FeatureShape::Segment { .. } = shape else { return vec![Aabb::of(points)] };
     let mut sides = (points[1] - points[0]).abs().to_array();
     sides.sort_by(f64::total_cmp);
-    let count = (MOST * sides[1] / sides[2]).min(sides[2] / SHORT).clamp(1.0, MOST) as usize;
+    let count = (MAX_BOXES * sides[1] / sides[2]).min(sides[2] / MIN_LENGTH).clamp(1.0, MAX_BOXES) as usize;
     let at = |k: usize| points[0].lerp(points[1], k as f64 / count as f64);
     (0..count).map(|k| Aabb::of([at(k), at(k + 1)])).collect()
 }

@@ -4,8 +4,8 @@
 //! reaches no farther from its middle than the middle is inside the tolerance. Other pieces are divided, until one
 //! has a middle off all polygons or is so small that it exceeds the tolerance by at most [`SLACK`] of it.
 
+use super::coplanar::CoplanarPart;
 use super::cover::SLACK;
-use super::patch::CoplanarPart;
 use super::plane::{PatchPlane, bounds_of, clip, doubled_area, inside, sides};
 use crate::error::Result;
 use crate::geometry::Aabb;

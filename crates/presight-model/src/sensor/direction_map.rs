@@ -48,7 +48,8 @@ impl PixelBox {
 /// Side of a cell, as a multiple of the half angle of the cones that its level serves.
 const CELL: f64 = 1.5;
 
-/// Number of levels, each for cones twice as wide as the one before. For wider cones, other lookups select better.
+/// Number of levels, each for cones twice as wide as those of the level below. For wider cones, other lookups select
+/// better.
 const LEVELS: u32 = 3;
 
 /// Bounds of the half angle of the finest level, radians.
@@ -57,17 +58,17 @@ const FINEST: [f64; 2] = [1e-5, 0.1];
 /// Margin of all reaches, radians: far above the rounding of directions to f32.
 const SLACK: f64 = 2e-5;
 
-/// Most cells of the finest level per ray.
+/// Maximum number of cells of the finest level per ray.
 const CELLS_A_RAY: usize = 1;
 
-/// Most cells of a level of tiles per tile.
+/// Maximum number of cells of a level of tiles per tile.
 const CELLS_A_TILE: usize = 4;
 
 /// Half angle of the widest cones that get a level of tiles, radians.
 const WIDEST: f64 = 0.4;
 
 /// Cells that are always allowed, however few the rays or tiles.
-const LEAST_CELLS: usize = 4096;
+const MIN_CELLS: usize = 4096;
 
 /// Cosine of the largest angle between the middle of a cube side and a direction on that side.
 const FACING: f64 = 0.577;
@@ -216,7 +217,7 @@ impl DirectionMap {
         let pixel = |i: u32| PixelBox::of_pixel(i / width, i % width);
         let rays = || directions.iter().zip(0u32..).filter(|(d, _)| !d.is_nan()).map(|(d, i)| (*d, pixel(i)));
         let reaching = |reach: f64| directions.iter().filter(|d| !d.is_nan()).map(move |d| (*d, reach));
-        let most = CELLS_A_RAY * directions.len() + LEAST_CELLS;
+        let most = CELLS_A_RAY * directions.len() + MIN_CELLS;
         let mut finest = spacing.clamp(FINEST[0], FINEST[1]);
         let across = loop {
             let coarsest = finest * f64::from(1 << (LEVELS - 1));
@@ -254,7 +255,7 @@ impl DirectionMap {
             let some = || tiles.iter().filter(|tile| tile.half_angle >= 0.0);
             let reach = |tile: &Tile| (tile.axis, tile.half_angle + half_angle + SLACK);
             let cells = Cells::around(some().map(reach), across);
-            if cells.room() <= CELLS_A_TILE * tiles.len() + LEAST_CELLS {
+            if cells.room() <= CELLS_A_TILE * tiles.len() + MIN_CELLS {
                 let pixels = some().map(|tile| {
                     let (axis, reach) = reach(tile);
                     (axis, reach, PixelBox::of_tile(tile))
@@ -330,7 +331,7 @@ mod tests {
         }
     }
 
-    /// The same for cones that are wider than the map's own.
+    /// Like the lookup above, for cones that are wider than the map's own.
     #[test]
     fn all_rays_of_a_wide_cone_are_in_its_box_of_tiles() {
         let directions = table(DVec3::new(0.3, -0.5, 0.6).normalize(), 0.01);

@@ -19,8 +19,8 @@ pub enum Distortion {
     None,
     /// k1 k2 p1 p2 k3: radial polynomial and tangential terms.
     PlumbBob([f64; 5]),
-    /// k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tauX tauY: rational radial function, tangential and thin prism terms, and the
-    /// tilt of the image sensor about its x and y axes, radians.
+    /// k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tauX tauY: rational radial function, tangential and thin prism terms, and
+    /// the tilt of the image sensor about its x and y axes, radians.
     RationalPolynomial([f64; 14]),
     /// k1 k2 k3 k4: polynomial in the angle from the axis (Kannala-Brandt, OpenCV fisheye).
     Equidistant([f64; 4]),
@@ -90,15 +90,15 @@ impl Distortion {
         }
     }
 
-    /// True if straight lines stay straight, so that rays need no table. An equidistant lens bends lines even if all its
-    /// coefficients are 0.
+    /// True if straight lines stay straight, so that rays need no table. An equidistant lens bends lines even if all
+    /// its coefficients are 0.
     pub fn is_none(&self) -> bool {
         !matches!(self, Self::Equidistant(_)) && self.coefficients().iter().all(|c| *c == 0.0)
     }
 
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] on NaN, infinity, numbers whose powers would overflow, and a sensor tilted by a right
-    /// angle or more.
+    /// [`crate::ErrorKind::Invalid`] on NaN, infinity, numbers whose powers would overflow, and a sensor tilted by a
+    /// right angle or more.
     pub(super) fn check(&self) -> Result<()> {
         if let Some(i) = self.coefficients().iter().position(|c| !(c.abs() <= 1e9)) {
             return Err(Error::invalid(
@@ -107,9 +107,9 @@ impl Distortion {
             ));
         }
         match self {
-            Self::RationalPolynomial([.., tau_x, tau_y]) if tau_x.abs().max(tau_y.abs()) > MOST_TILT => {
+            Self::RationalPolynomial([.., tau_x, tau_y]) if tau_x.abs().max(tau_y.abs()) > MAX_TILT => {
                 let what = format!("an image sensor tilted by tauX = {tau_x}, tauY = {tau_y} rad");
-                Err(Error::invalid(what, format!("give radians of at most {MOST_TILT}")))
+                Err(Error::invalid(what, format!("give radians of at most {MAX_TILT}")))
             }
             _ => Ok(()),
         }
@@ -117,7 +117,7 @@ impl Distortion {
 }
 
 /// Radians. At a right angle the image sensor is seen edge-on.
-const MOST_TILT: f64 = 1.5;
+const MAX_TILT: f64 = 1.5;
 
 /// The coefficients, with zeros after them.
 fn filled<const N: usize>(coefficients: &[f64]) -> [f64; N] {

@@ -53,7 +53,7 @@ pub struct LineGrid {
     /// Pixels of a camera from line to line and from sample to sample.
     stride: f64,
     finder: PositionFinder,
-    /// The same values as separate arrays for vector loops. The arrays of the lines are padded by eight zeros.
+    /// The values as separate arrays for vector loops. The arrays of the lines are padded by eight zeros.
     c: [Vec<f64>; 2],
     octets: Vec<Octet>,
 }

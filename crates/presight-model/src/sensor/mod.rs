@@ -82,18 +82,19 @@ pub struct SensorSpec {
     pub range_min: f64,
     /// Metres, inclusive; may be infinite.
     pub range_max: f64,
-    /// Largest angle of incidence, radians from the normal, at which the sensor extracts features. Images are not affected.
+    /// Maximum angle of incidence, radians from the normal, at which the sensor extracts features. Images are not
+    /// affected.
     pub max_incidence: Option<f64>,
     /// robot_from_sensor, body axes.
     pub mount: Pose,
-    /// Cameras: rotation from the frame of the image (z along its optical axis, x right, y down) to the optical frame of
-    /// the camera, which is that of poses and of `mount`. The identity but for rectified images, where it is the inverse
-    /// of ROS's R. Other sensors do not use it.
+    /// Cameras: rotation from the frame of the image (z along its optical axis, x right, y down) to the optical frame
+    /// of the camera, which is that of poses and of `mount`. The identity but for rectified images, where it is the
+    /// inverse of ROS's R. Other sensors do not use it.
     pub optical_from_image: DQuat,
     /// Measurement noise.
     pub noise: Noise,
-    /// Seconds from the first column of an image to one step behind the last; column i of n is measured `turn_s * i / n` after
-    /// the stamp. Negative if the last column is measured first. 0 if all are measured at once.
+    /// Seconds from the first column of an image to one step behind the last; column i of n is measured `turn_s * i /
+    /// n` after the stamp. Negative if the last column is measured first. 0 if all are measured at the same time.
     pub turn_s: f64,
 }
 
@@ -269,9 +270,9 @@ impl Sensor {
         &self.0.grid
     }
 
-    /// body_from_image: turns the image frame into body axes (x forward, y left, z up). The image frame is the optical frame of a
-    /// camera (z forward, x right, y down), turned by [`SensorSpec::optical_from_image`], and the body axes of other
-    /// sensors.
+    /// body_from_image: turns the image frame into body axes (x forward, y left, z up). The image frame is the optical
+    /// frame of a camera (z forward, x right, y down), turned by [`SensorSpec::optical_from_image`], and the body axes
+    /// of other sensors.
     #[inline]
     pub fn body_from_image(&self) -> DMat3 {
         self.spec().body_from_image()
@@ -284,7 +285,7 @@ impl Sensor {
         inside.then(|| self.0.grid.ray(column, row)).flatten()
     }
 
-    /// How the rays of a tile lie side by side, without building any.
+    /// Arrangement of rays in tiles, without building any.
     pub fn ray_layout(&self) -> GroupLayout {
         RayTiles::layout_of(self).0
     }
@@ -341,7 +342,7 @@ fn ray_table_bytes(spec: &SensorSpec) -> u64 {
     }
 }
 
-/// Longest turn of a scanner, seconds.
+/// Maximum duration of a scanner's turn, seconds.
 const MAX_TURN_S: f64 = 60.0;
 
 fn check(spec: &SensorSpec) -> Result<()> {
@@ -380,7 +381,10 @@ fn check(spec: &SensorSpec) -> Result<()> {
     }
     if !(spec.turn_s.abs() <= MAX_TURN_S) {
         let what = format!("turn_s of {} s", spec.turn_s);
-        return Err(Error::invalid(what, format!("give seconds, at most {MAX_TURN_S}; 0 if all is measured at once")));
+        return Err(Error::invalid(
+            what,
+            format!("give seconds, at most {MAX_TURN_S}; 0 if all columns are measured at the same time"),
+        ));
     }
     spec.noise.check()
 }

@@ -15,7 +15,7 @@ pub struct Noise {
     pub pixel_sigma: f64,
     /// Error of the time stamps, seconds.
     pub stamp_sigma: f64,
-    /// Where a beam's reading may come from.
+    /// Sources of a beam's reading.
     pub mixture: Mixture,
 }
 

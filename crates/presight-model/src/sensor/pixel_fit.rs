@@ -8,7 +8,7 @@ use crate::memory;
 use glam::DVec3;
 
 /// Pixels. Quadratics with a larger error are discarded.
-const MOST_OFF: f64 = 0.4;
+const MAX_ERROR: f64 = 0.4;
 
 /// Rays that suffice to fit the quadratics of all cells.
 const ENOUGH: usize = 60_000;
@@ -22,7 +22,7 @@ type Terms = [f64; TERMS];
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Fitted {
     pub terms: Terms,
-    /// Largest error over the rays, pixels.
+    /// Maximum error over the rays, pixels.
     pub off: f64,
     /// Norm of the second derivative.
     pub bend: f64,
@@ -79,8 +79,8 @@ fn surroundings(d: DVec3, mut cell: impl FnMut(usize, [f64; 2])) {
         }
         let place = [u / along, v / along];
         let around = place.map(|t| {
-            let at = (t + 1.0) / CELL;
-            let (first, last) = ((at - 1.5).ceil().max(0.0), (at + 0.5).floor().min(f64::from(ACROSS) - 1.0));
+            let at = (t + 1.0) / FitCell::SIDE;
+            let (first, last) = ((at - 1.5).ceil().max(0.0), (at + 0.5).floor().min(f64::from(FitCell::ACROSS) - 1.0));
             (first, last)
         });
         if around.iter().any(|(first, last)| first > last) {
@@ -89,7 +89,7 @@ fn surroundings(d: DVec3, mut cell: impl FnMut(usize, [f64; 2])) {
         for row in around[1].0 as u32..=around[1].1 as u32 {
             for column in around[0].0 as u32..=around[0].1 as u32 {
                 let middle = [column, row].map(middle_of);
-                let at = [0, 1].map(|k| (place[k] - middle[k]) / CELL);
+                let at = [0, 1].map(|k| (place[k] - middle[k]) / FitCell::SIDE);
                 cell(index(side, [column, row]), at);
             }
         }
@@ -97,11 +97,11 @@ fn surroundings(d: DVec3, mut cell: impl FnMut(usize, [f64; 2])) {
 }
 
 fn middle_of(cell: u32) -> f64 {
-    (f64::from(cell) + 0.5) * CELL - 1.0
+    (f64::from(cell) + 0.5) * FitCell::SIDE - 1.0
 }
 
 fn index(side: usize, [column, row]: [u32; 2]) -> usize {
-    (side * ACROSS as usize + row as usize) * ACROSS as usize + column as usize
+    (side * FitCell::ACROSS as usize + row as usize) * FitCell::ACROSS as usize + column as usize
 }
 
 impl Sums {
@@ -126,16 +126,13 @@ impl Sums {
     }
 }
 
-const CELL: f64 = FitCell::SIDE;
-const ACROSS: u32 = FitCell::ACROSS;
-
 impl PixelFit {
     /// Fits the cells. `directions` are unit vectors, row-major; NaN means no ray.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if the system refuses the memory, about a megabyte.
     pub fn new(width: u32, directions: &[DVec3]) -> Result<Self> {
-        let count = 6 * (ACROSS * ACROSS) as usize;
+        let count = 6 * (FitCell::ACROSS * FitCell::ACROSS) as usize;
         let rays = || directions.iter().zip(0u32..).filter(|(d, _)| !d.is_nan());
         let pixel = |i: u32| [i % width, i / width].map(f64::from);
         let mut sums = memory::reserved(count)?;
@@ -147,7 +144,7 @@ impl PixelFit {
         }
         let mut cells = memory::reserved(count)?;
         cells.extend((0..count).map(|i| {
-            let (column, row) = (i as u32 % ACROSS, i as u32 / ACROSS % ACROSS);
+            let (column, row) = (i as u32 % FitCell::ACROSS, i as u32 / FitCell::ACROSS % FitCell::ACROSS);
             FitCell { middle: [column, row].map(middle_of), is_empty: true, fitted: fitted(&sums[i]) }
         }));
         for (d, i) in rays() {
@@ -160,12 +157,12 @@ impl PixelFit {
             });
         }
         for cell in &mut cells {
-            cell.fitted = cell.fitted.filter(|both| both.iter().all(|fitted| fitted.off < MOST_OFF));
+            cell.fitted = cell.fitted.filter(|both| both.iter().all(|fitted| fitted.off < MAX_ERROR));
         }
         Ok(Self { cells })
     }
 
-    /// The same approximation in the pixel coordinates of a part of the image.
+    /// This approximation in the pixel coordinates of a part of the image.
     pub fn part(&self, part: &ImagePart) -> Self {
         let stride = f64::from(part.stride);
         let of_part = |fitted: Fitted, first: f64| {
@@ -187,7 +184,7 @@ impl PixelFit {
         let side = 2 * axis + usize::from(d[axis] < 0.0);
         let [along, u, v] = on_side(side, d.to_array());
         // The cast saturates, and NaN becomes 0.
-        let cell = [u, v].map(|t| (((t / along + 1.0) / CELL) as u32).min(ACROSS - 1));
+        let cell = [u, v].map(|t| (((t / along + 1.0) / FitCell::SIDE) as u32).min(FitCell::ACROSS - 1));
         (along > 0.0).then(|| (side, &self.cells[index(side, cell)]))
     }
 
@@ -223,7 +220,7 @@ impl FitCell {
     pub const ACROSS: u32 = 20;
 
     /// Converts an offset on the cube side to the argument of the quadratics.
-    pub const PER_UNIT: f64 = 1.0 / CELL;
+    pub const PER_UNIT: f64 = 1.0 / Self::SIDE;
 }
 
 #[cfg(test)]

@@ -24,8 +24,8 @@ pub(super) fn derivative(a: &[f64]) -> Vec<f64> {
 /// Every x in (0, upper) where the polynomial changes sign, rising, to the last bit of its evaluation.
 ///
 /// A polynomial is monotone between two neighbouring sign changes of its derivative and has at most one sign change
-/// there. The recursion finds those of the derivative first and bisects each interval between them, so it cannot step
-/// over a narrow pair of roots.
+/// there. The recursion finds the sign changes of the derivative first and bisects each interval between them, so it
+/// cannot step over a narrow pair of roots.
 pub(super) fn sign_changes(a: &[f64], upper: f64) -> Vec<f64> {
     if a.len() < 2 {
         return Vec::new();

@@ -1,7 +1,7 @@
 //! Sensor presets, stored as the text of sensor files and read by the same reader as user files.
 //!
-//! Real multi-beam lidars have offset beam origins and staggered azimuths, and depth cameras have two imagers. A preset is
-//! the ideal grid with one centre. Its text names the source and the omissions. `preset` makes a sensor from one.
+//! Real multi-beam lidars have offset beam origins and staggered azimuths, and depth cameras have two imagers. A preset
+//! is the ideal grid with one centre. Its text names the source and the omissions. `preset` makes a sensor from one.
 
 /// A named sensor with its text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

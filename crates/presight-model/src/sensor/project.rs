@@ -241,8 +241,8 @@ impl Sensor {
         }
     }
 
-    /// The unit ray in the image frame at continuous pixel coordinates: the inverse of [`Sensor::project`]. Returns `None`
-    /// outside the domain of a lens, and between rays of a table if one of them is missing.
+    /// The unit ray in the image frame at continuous pixel coordinates: the inverse of [`Sensor::project`]. Returns
+    /// `None` outside the domain of a lens, and between rays of a table if one of them is missing.
     pub fn ray_at(&self, u: f64, v: f64) -> Option<DVec3> {
         match (self.projector(), &self.spec().geometry) {
             (Projector::Pinhole, Geometry::Camera(c)) => {
@@ -259,7 +259,7 @@ impl Sensor {
     }
 
     /// Factors the rays at columns and rows as `ray = column part + row multiple * axis`, not normalized. Returns the
-    /// column parts, the axis and the row multiples, or `None` if the rays do not factor this way.
+    /// column parts, the axis and the row multiples, or `None` if the rays have no such factors.
     pub fn rays_by_column(&self, columns: &[f64], rows: &[f64]) -> Option<(Vec<DVec3>, DVec3, Vec<f64>)> {
         match (self.projector(), &self.spec().geometry) {
             (Projector::Pinhole, Geometry::Camera(c)) => {

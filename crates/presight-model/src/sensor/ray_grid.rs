@@ -71,15 +71,13 @@ pub struct Cones {
     pub z: [f64; Octet::LEN],
     /// Squared sine of the half angle; above 1 if the cone is too wide to bound.
     pub sine_squared: [f64; Octet::LEN],
-    /// Largest distance of a unit ray from the unit axis.
+    /// Maximum distance of a unit ray from the unit axis.
     pub chord: [f64; Octet::LEN],
 }
 
 impl Cones {
     /// Packs up to eight tiles; unused lanes hold arbitrary values.
     fn of(tiles: &[Tile]) -> Self {
-        /// Far above the rounding errors of angles and products.
-        const SLACK: f64 = 1e-9;
         let nothing = [0.0; Octet::LEN];
         let mut cones = Self { x: nothing, y: nothing, z: nothing, sine_squared: nothing, chord: nothing };
         for (i, tile) in tiles.iter().enumerate() {
@@ -220,7 +218,8 @@ impl ForwardView {
     }
 }
 
-/// Margin of bounds, radians: selection may keep too much, never too little.
+/// Margin of bounds, radians, far above the rounding of angles and products: selection may keep too much, never too
+/// little.
 const SLACK: f64 = 1e-9;
 
 /// Bounds on the rays of a table, as planes through the centre with unit normals in the image frame.

@@ -6,10 +6,10 @@ use crate::memory;
 use glam::DVec3;
 use std::ops::Range;
 
-/// Rays of a group, which are worked on side by side.
+/// Rays of a group, which are processed together.
 pub const GROUP: usize = 8;
 
-/// Most groups of a tile.
+/// Maximum number of groups of a tile.
 pub const GROUPS: usize = 8;
 
 /// Rays of one tile as (1, s, t) in axes of its own.
@@ -20,13 +20,13 @@ pub struct RayTile {
     pub s: [[f32; GROUP]; GROUPS],
     /// By group.
     pub t: [[f32; GROUP]; GROUPS],
-    /// Least and greatest s of each group; groups without a ray hold nothing.
+    /// Minimum and maximum s of each group; an empty interval for groups without a ray.
     pub s_of_groups: [[f32; GROUPS]; 2],
-    /// Least and greatest t of each group.
+    /// Minimum and maximum t of each group.
     pub t_of_groups: [[f32; GROUPS]; 2],
-    /// Least and greatest s of all.
+    /// Minimum and maximum s of all groups.
     pub s_range: [f32; 2],
-    /// Least and greatest t of all.
+    /// Minimum and maximum t of all groups.
     pub t_range: [f32; 2],
     /// Unit axes in the image frame: forward, along s, along t.
     pub axes: [DVec3; 3],
@@ -38,7 +38,7 @@ pub struct RayTile {
     pub groups: usize,
 }
 
-/// How the lanes of a group lie among lines and samples.
+/// Arrangement of the lanes of a group among lines and samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GroupLayout {
     /// Neighbouring samples of one line, from a multiple of eight on.
@@ -54,7 +54,7 @@ pub enum GroupLayout {
 pub struct RayTiles {
     /// The tiles, line by line. No ray is in two of them.
     pub tiles: Vec<RayTile>,
-    /// How the lanes of a group lie.
+    /// Arrangement of the lanes of a group.
     pub layout: GroupLayout,
     /// No tile reaches over a multiple of this number of lines.
     lines_of_block: usize,

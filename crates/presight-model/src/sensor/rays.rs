@@ -25,7 +25,8 @@ impl RayTable {
     /// Makes a table of directions of any length. A NaN direction means that the pixel has no ray.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if their number is not width x height, or a direction has zero length or is infinite.
+    /// [`crate::ErrorKind::Invalid`] if their number is not width x height, or a direction has zero length or is
+    /// infinite.
     pub fn new(width: u32, height: u32, directions: Vec<DVec3>) -> Result<Self> {
         if directions.len() as u64 != u64::from(width) * u64::from(height) {
             return Err(Error::invalid(

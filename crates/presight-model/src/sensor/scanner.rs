@@ -97,7 +97,7 @@ pub struct Scanner {
 pub const SAME_ANGLE: f64 = 1e-3;
 
 /// Degrees. Closer azimuths have no representable separating line between them.
-const LEAST_STEP: f64 = 1e-9;
+const MIN_STEP: f64 = 1e-9;
 
 impl Scanner {
     /// Elevations of the rows, falling, degrees.
@@ -107,7 +107,8 @@ impl Scanner {
         rows
     }
 
-    /// Number of columns of a full turn, if the last column is next to the first: nearer than two steps, the widest ones.
+    /// Number of columns of a full turn, if the last column is next to the first: nearer than two steps, the widest
+    /// ones.
     pub(super) fn columns_of_a_turn(&self) -> Option<f64> {
         match &self.azimuth {
             Angles::Uniform { step_deg, count, .. } => {
@@ -133,7 +134,7 @@ impl Scanner {
         {
             return Err(Error::invalid("the azimuths listed are not in order", "list them all rising or all falling"));
         }
-        if let Some([a, b]) = azimuths.array_windows().find(|[a, b]| !((b - a).abs() >= LEAST_STEP)) {
+        if let Some([a, b]) = azimuths.array_windows().find(|[a, b]| !((b - a).abs() >= MIN_STEP)) {
             return Err(Error::invalid(
                 format!("azimuths {a:e} and {b:e} deg are too close together"),
                 "keep them 1e-6 deg apart",
@@ -187,7 +188,7 @@ impl Scanner {
         }
         let mut lines: Vec<[f64; 2]> = azimuths.iter().map(|&a| cos_sin_deg(a)).collect();
         if self.azimuth.is_closed() {
-            // The same bits, because one of two beams near an edge could otherwise miss it.
+            // With other bits one of the two beams could miss a polygon near its edge.
             lines[n - 1] = lines[0];
         }
         // Line frame: (x, y, -z), so that the sample position -tan(elevation) rises with the row.

@@ -63,7 +63,7 @@ impl World {
         }
     }
 
-    /// The same version of the environment with another index.
+    /// This version of the environment with another index.
     #[must_use]
     pub fn reindexed(&self, kind: &IndexKind) -> Self {
         let index = Arc::new(WorldIndex::new(&self.environment, kind));
@@ -85,7 +85,8 @@ impl World {
         &self.index
     }
 
-    /// Makes the trees for rays of the meshes of some objects, where there are none; by all threads of a pool if called on one of them.
+    /// Makes the trees for rays of the meshes of some objects, where there are none; by all threads of a pool if called
+    /// on one of them.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if there is no memory for them.
@@ -146,7 +147,7 @@ impl World {
     }
 
     /// Applies a change and makes the next version if `check` then succeeds; otherwise content, numbers and version do
-    /// not change. Nothing is copied for this: the change is reverted step by step.
+    /// not change: the change is reverted step by step, without a copy of the world.
     pub fn apply_if(&mut self, change: Change, check: impl FnOnce(&Self) -> Result<()>) -> Result<Change> {
         self.with_open_layers(change, |world, change| {
             world.journal = Some(Vec::new());
@@ -188,7 +189,7 @@ impl World {
         }
     }
 
-    /// Starts a series of changes. Opened layers stay open, because nobody reads the lists of features in between.
+    /// Starts a series of changes. Opened layers stay open, because the lists of features are not read in between.
     pub fn begin_row(&mut self) {
         self.row = Some(FEW_FEATURES);
     }

@@ -89,7 +89,7 @@ impl World {
         let mut groups: Vec<String> = environment.groups_below(&path).map(|(path, _)| path.to_owned()).collect();
         groups.push(path);
         let mut undo = Vec::with_capacity(groups.len() + objects.len());
-        // Delete the objects below first, so that no path turns into a group on the way.
+        // Delete the objects below first, so that no path becomes a group before it is deleted.
         while let Some(name) = objects.pop() {
             undo.push(self.delete_object(name)?);
         }

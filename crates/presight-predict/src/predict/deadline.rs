@@ -94,7 +94,7 @@ impl Predictor {
         }
         let has_time =
             |before| timed.is_none_or(|timed| self.controller.is_surely_in_time(timed, Forecast::Row, before));
-        let making = if has_time(RowCut::most_time(world)) { Making::IfOften } else { Making::Never };
+        let making = if has_time(RowCut::max_time(world)) { Making::IfOften } else { Making::Never };
         let cut = self.row_cuts.get(world, sensor, world_from_sensor, making);
         cut.filter(|_| has_time(Duration::ZERO))
     }

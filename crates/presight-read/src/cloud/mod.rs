@@ -5,7 +5,7 @@
 //! - **PLY** 1.0: text or binary, with `vertex` as the first element. A file of presight with points in the world also
 //!   holds the sensor's pose, and the points are transformed back.
 //! - **PCD** up to 0.7: `ascii` or `binary`. `VIEWPOINT` is the sensor's pose in the world. A cloud of several rows is
-//!   organized: one point per pixel, NaN where nothing was measured.
+//!   organized: one point per pixel, NaN for a pixel without a measurement.
 //! - **CSV**: one point per line, with `x,y,z` first or columns named by the first line; `#` starts a comment.
 
 mod csv;
@@ -22,7 +22,7 @@ use presight_model::geometry::Pose;
 use presight_model::limits;
 use std::path::Path;
 
-/// What presight's PLY and PCD files say in a comment of points in the world.
+/// The comment in presight's PLY and PCD files whose points are in the world.
 pub const POINTS_IN_WORLD: &str = "world: z up; metres";
 
 /// The points of one scan.

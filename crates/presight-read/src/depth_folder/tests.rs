@@ -19,7 +19,7 @@ fn images_are_read_in_order_with_their_times() {
     let folder = folder(CAMERA, &[("00007.png", 3, 0), ("00003.png", 3, 500)]);
     let frames: Vec<Frame> = DepthFolder::open(folder.path(), None).unwrap().map(|f| f.unwrap()).collect();
     assert_eq!(frames.iter().map(|f| f.stamp).collect::<Vec<_>>(), [3.0, 7.0]);
-    assert_eq!(frames[0].sensed(), &Measurement::DepthZ(vec![1.0; 6]));
+    assert_eq!(frames[0].measurement(), &Measurement::DepthZ(vec![1.0; 6]));
     assert!(frames[1].ranges().iter().all(|r| r.is_nan()));
 }
 
@@ -38,15 +38,15 @@ fn poses_are_turned_to_body_axes_and_z_up() {
 
 #[test]
 fn what_is_wrong_is_named() {
-    let told = |camera: &str, images: &[(&str, u32, u16)]| {
+    let error_of = |camera: &str, images: &[(&str, u32, u16)]| {
         let folder = folder(camera, images);
         let end = DepthFolder::open(folder.path(), None).and_then(|log| log.collect::<Result<Vec<_>>>().map(|_| ()));
         end.unwrap_err().to_string()
     };
-    assert!(told(CAMERA, &[]).contains("no .png"));
-    assert!(told(CAMERA, &[("0.png", 4, 1)]).contains("4 x 2 pixels"));
-    assert!(told("{\"width\": 3", &[("0.png", 3, 1)]).contains("camera.json"));
-    assert!(told(&CAMERA.replace("0.002", "-1"), &[("0.png", 3, 1)]).contains("depth unit"));
+    assert!(error_of(CAMERA, &[]).contains("no .png"));
+    assert!(error_of(CAMERA, &[("0.png", 4, 1)]).contains("4 x 2 pixels"));
+    assert!(error_of("{\"width\": 3", &[("0.png", 3, 1)]).contains("camera.json"));
+    assert!(error_of(&CAMERA.replace("0.002", "-1"), &[("0.png", 3, 1)]).contains("depth unit"));
     let broken = folder(CAMERA, &[]);
     std::fs::write(broken.path().join("depth/0.png"), b"no image").unwrap();
     let mut log = DepthFolder::open(broken.path(), None).unwrap();
@@ -75,7 +75,7 @@ fn luminances_are_those_of_the_image_crate() {
         std::fs::create_dir(folder.path().join("grey")).unwrap();
         picture.save(folder.path().join("grey/0.png")).unwrap();
         let frame = DepthFolder::open(folder.path(), None).unwrap().next().unwrap().unwrap();
-        let Measurement::Grey(grey) = frame.sensed() else { panic!("a grey image") };
+        let Measurement::Grey(grey) = frame.measurement() else { panic!("a grey image") };
         let of_16_bits = |value: u16| f32::from(value) / f32::from(u16::MAX);
         let color = picture.color();
         let expected: Vec<f32> = picture.into_luma16().into_raw().into_iter().map(of_16_bits).collect();
@@ -104,7 +104,7 @@ fn written_cameras_and_poses_are_read_again() {
     let own = DepthFolder::open(folder.path(), None).unwrap();
     assert_eq!(own.sensor().spec().geometry, sensor.spec().geometry);
     let frames: Vec<Frame> = log.map(|f| f.unwrap()).collect();
-    assert_eq!((frames.len(), frames[0].stamp, frames[0].sensed()), (1, 12.5, &Measurement::DepthZ(vec![1.5; 6])));
+    assert_eq!((frames.len(), frames[0].stamp, frames[0].measurement()), (1, 12.5, &Measurement::DepthZ(vec![1.5; 6])));
     assert!(image_name(9.0) < image_name(10.0));
     assert!(camera_json(&crate::preset("laser-scanner").unwrap()).is_err());
 }

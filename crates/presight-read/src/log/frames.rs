@@ -112,7 +112,7 @@ impl Frames {
         let frames = log.enumerate().map(move |(index, frame)| {
             let frame = frame?;
             let reference = frame.reference;
-            let frame = frame.sensed(&used, &noise).map_err(|e| e.at(format!("frame {index}")).in_file(&file))?;
+            let frame = frame.into_frame(&used, &noise).map_err(|e| e.at(format!("frame {index}")).in_file(&file))?;
             Ok(Observation { frame, reference })
         });
         Ok(Self { has_planar_poses, ..Self::new(sensor, frames, "null or NaN") })

@@ -2,8 +2,8 @@
 //!
 //! [`open`] opens a log of ranges and returns its frames one at a time:
 //!
-//! - **Format 1**, our own ([`lines`]): a header and then one JSON object per line. It is read line by line, so a log can
-//!   be larger than memory.
+//! - **Format 1**, our own ([`lines`]): a header and then one JSON object per line. It is read line by line, so a log
+//!   can be larger than memory.
 //! - **Documents** ([`document`]): one JSON object whose `scans` list planar laser scans, as in public data sets. It is
 //!   held in memory.
 //!
@@ -35,7 +35,7 @@ use std::path::Path;
 pub struct LogFrame {
     /// Seconds, rising within a log.
     pub time: f64,
-    /// Metres along each ray, row-major, after REP-117: `+inf` if nothing was detected, `-inf` for an object nearer
+    /// Metres along each ray, row-major, after REP-117: `+inf` for no detection, `-inf` for an object nearer
     /// than `range_min`, NaN for no reading. As in the log: 0, or a finite value outside of the sensor's limits, is no
     /// measurement either.
     pub range: Vec<f32>,
@@ -52,7 +52,7 @@ impl LogFrame {
     ///
     /// # Errors
     /// As [`presight_model::measured::Frame::new`].
-    pub fn sensed(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::measured::Frame> {
+    pub fn into_frame(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::measured::Frame> {
         let mut frame =
             presight_model::measured::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
         if let Some(values) = self.intensities {

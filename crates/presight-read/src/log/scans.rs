@@ -62,11 +62,11 @@ impl Scans {
     fn read(&mut self, time: f64, path: &Path) -> Result<Observation> {
         check_time(self.time, time)?;
         self.time = Some(time);
-        let (frame, told) = match cloud::ending(path).as_str() {
+        let (frame, in_file) = match cloud::ending(path).as_str() {
             "exr" => self.of_image(time, path)?,
             _ => self.of_points(time, path)?,
         };
-        let known = self.poses.get(&stem(path)).copied().or(told);
+        let known = self.poses.get(&stem(path)).copied().or(in_file);
         let robot_from_sensor = frame.sensor().spec().mount;
         Ok(Observation { reference: known.map(|pose| pose * robot_from_sensor.inverse()), frame })
     }
@@ -93,7 +93,7 @@ impl Scans {
         let world_from_sensor = text_of("world_from_sensor").map(|text| exr::pose_from_text(text)).transpose();
         let world_from_sensor = world_from_sensor.map_err(|e| e.at(exr::attribute("world_from_sensor")))?;
         let Some(sensor) = self.sensor.clone().or(own) else {
-            return Err(Error::invalid("it does not say which sensor measured it", "give the sensor"));
+            return Err(Error::invalid("the file does not name the sensor that measured it", "give the sensor"));
         };
         let (width, height) = (sensor.width(), sensor.height());
         if (file.width, file.height) != (width, height) {

@@ -37,7 +37,9 @@ proptest! {
             0.5..30f32, Just(f32::INFINITY), Just(f32::NEG_INFINITY), Just(f32::NAN)
         ]),
         moved in prop::option::of(prop::array::uniform3(-3.0..3.0f64)),
-        bright in prop::option::of(prop::array::uniform3(prop_oneof![0.0..=1f32, Just(0.0), Just(1.0), Just(f32::NAN)])),
+        bright in prop::option::of(
+            prop::array::uniform3(prop_oneof![0.0..=1f32, Just(0.0), Just(1.0), Just(f32::NAN)])
+        ),
     ) {
         let odometry = moved.map(|[x, y, yaw]| Pose::from_xyz_rpy(DVec3::new(x, y, 0.1), 0.2, 0.3, yaw));
         let intensities = bright.map(|all| all.to_vec());
@@ -45,8 +47,8 @@ proptest! {
         let read = frames(&log(&[&lines::line(&frame).unwrap(), ""])).unwrap();
         prop_assert_eq!(read.len(), 1);
         let bits = |all: &[f32]| all.iter().map(|r| if r.is_nan() { 0 } else { r.to_bits() }).collect::<Vec<_>>();
-        let told = |f: &LogFrame| (bits(&f.range), f.intensities.as_deref().map(bits));
-        prop_assert_eq!(told(&read[0]), told(&frame));
+        let kept = |f: &LogFrame| (bits(&f.range), f.intensities.as_deref().map(bits));
+        prop_assert_eq!(kept(&read[0]), kept(&frame));
         prop_assert_eq!((read[0].time, read[0].odometry, read[0].reference), (time, odometry, odometry));
     }
 }
@@ -72,7 +74,7 @@ fn readings_and_poses_are_what_the_line_says() {
     let text = log(&[
         r#"{"t": 1, "range": [2, null, "inf"]}"#,
         "",
-        r#"{"t": 2.5, "range": ["-inf", 0.5, 30], "odometry": [1, 0, 0, 0, 0, 90], "reference": [1, 2, 3, 0, 0, 0, 2]}"#,
+        r#"{"t": 2.5, "range": ["-inf", 0.5, 30], "odometry": [1,0,0,0,0,90], "reference": [1, 2, 3, 0, 0, 0, 2]}"#,
     ]);
     let read = frames(&text).unwrap();
     assert_eq!(read.len(), 2);
@@ -93,10 +95,10 @@ fn intensities_are_read_beside_ranges() {
         r#"{"t": 2, "range": [2, 2, 2]}"#,
     ]);
     let read = frames(&text).unwrap();
-    let told = read[0].intensities.as_ref().unwrap();
-    assert!(told[..2] == [0.25, 1.0] && told[2].is_nan() && read[1].intensities.is_none());
+    let kept = read[0].intensities.as_ref().unwrap();
+    assert!(kept[..2] == [0.25, 1.0] && kept[2].is_nan() && read[1].intensities.is_none());
     let sensor = Sensor::new(scanner(3)).unwrap();
-    let sensed: Vec<_> = read.into_iter().map(|f| f.sensed(&sensor, &OdometryNoise::default()).unwrap()).collect();
+    let sensed: Vec<_> = read.into_iter().map(|f| f.into_frame(&sensor, &OdometryNoise::default()).unwrap()).collect();
     let image = sensed[0].intensities().unwrap();
     assert_eq!((image.width(), image.height(), image.values()[1]), (3, 1, 1.0));
     assert!(sensed[1].intensities().is_none());
@@ -105,7 +107,7 @@ fn intensities_are_read_beside_ranges() {
 }
 
 #[test]
-fn what_is_wrong_is_told_with_file_and_line() {
+fn what_is_wrong_is_kept_with_file_and_line() {
     let good = r#"{"t": 1, "range": [2, 2, 2]}"#;
     let cases = [
         (r#"{"t": 2, "range": [2, 2]}"#, "2 ranges for 3 rays"),

@@ -22,7 +22,7 @@ mod model;
 mod unit_costs;
 mod ways;
 
-pub use controller::{Controller, DeadlineFrame};
+pub use controller::{Controller, DeadlineFrame, FeatureGroups};
 pub use key::{Forecast, Key};
 pub use model::{CostModel, MAX_MODELS, TimeEstimate};
 pub use unit_costs::UnitCosts;

@@ -42,7 +42,7 @@ impl CostModel {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] if the time is NaN, infinite or not above 0 (for example after a clock
-    /// was set back), or if there are more than [`MAX_MODELS`] keys. Nothing is learnt then.
+    /// was set back), or if there are more than [`MAX_MODELS`] keys. The model is then unchanged.
     pub fn observe(&mut self, key: &Key, counts: &WorkCounts, seconds: f64) -> Result<()> {
         if !(seconds > 0.0 && seconds <= 1e9) {
             let what = format!("a frame that takes {seconds} s");

@@ -1,39 +1,41 @@
-//! Learns for each sensor which way of the CPU engine is faster. Both ways give the same bits, so learning is free of risk.
+//! Learns for each sensor which strategy of the CPU engine is faster. Both give the same bits, so learning is free of
+//! risk.
 //!
-//! By counts, tiles take over from the raster if too many polygons may show after the first wave ([`Way::choose`]). What a
-//! polygon and a ray cost depends on the machine and on the sensor, so that number is learnt: a frame's time by either way is a line
-//! over the polygons left, and tiles take over from where the lines say so. The number stays within [`RANGE`] times the counted one on
-//! either side, and only frames in that range try the other way, at first one in [`TRIED_EARLY`], later one in [`TRIED`]. A frame by the
-//! wrong way takes at most a few times as long, so trying costs little.
+//! By counts, tiles take over from the raster if too many polygons may be visible after the first wave
+//! ([`Way::choose`]). The costs of a polygon and of a ray depend on the machine and on the sensor, so that this
+//! threshold is learnt. A frame's time by either strategy is a linear function of the polygons left, and tiles take
+//! over where these functions cross. The threshold stays within a factor of [`RANGE`] of the counted one, and only
+//! frames in that range try the other strategy, at first one in [`TRIED_EARLY`], later one in [`TRIED`]. A frame by the
+//! wrong strategy takes at most a few times as long, so trials cost little.
 
 use super::{UnitCosts, WorkCounts};
 use crate::plan::{ChosenWay, CountName, FramePlan, Outputs, Stats, Way};
 use presight_model::sensor::{GroupLayout, Sensor};
 use std::time::Duration;
 
-/// How far the number may move, as a factor.
+/// Maximum factor between the learnt threshold and the counted one.
 const RANGE: u64 = 4;
 
-/// Period of trials, frames: one tries the raster where tiles would be taken, another one the reverse.
+/// Period of trials, frames: one trial takes the raster instead of tiles, another one the reverse.
 const TRIED: u64 = 128;
 
-/// The same among a sensor's first frames, and how many these are: enough that times count soon.
+/// Period of trials among a sensor's first frames, and the number of these frames: enough to use times soon.
 const TRIED_EARLY: u64 = 8;
 const EARLY: u64 = TRIED_EARLY * ENOUGH;
 
-/// Frames that were drawn by each way before times count.
+/// Number of frames by each strategy before their times are used.
 const ENOUGH: u64 = 8;
 
-/// Number of successive frames that turned to tiles, after which frames go by tiles without a selection.
+/// Number of successive frames that turned to tiles after which frames go by tiles without a selection.
 const IN_SUCCESSION: u32 = 4;
 
-/// Period, frames, of one that selects and draws a first wave nevertheless, to check that tiles are still faster.
+/// Period, frames, of a selection and a first wave nevertheless, to check that tiles are still faster.
 const CHECKED: u64 = 16;
 
-/// Sensors that are known at most; a further one displaces the oldest.
-const MOST_SENSORS: usize = 64;
+/// Maximum number of sensors. A further one displaces the oldest.
+const MAX_SENSORS: usize = 64;
 
-/// What a sensor's frames took.
+/// Learnt times of a sensor's frames.
 #[derive(Debug)]
 struct SensorWays {
     size: [u32; 2],
@@ -42,13 +44,13 @@ struct SensorWays {
     outputs: Outputs,
     /// Frames chosen.
     frames: u64,
-    /// Frames in succession that turned to tiles.
+    /// Number of successive frames that turned to tiles.
     turned: u32,
     /// Times of the raster and of tiles over the polygons left.
     costs: [UnitCosts; 2],
 }
 
-/// Which way is faster for which sensor. Times are given to it; it reads no clock.
+/// The faster strategy for each sensor. It reads no clock: callers pass times.
 #[derive(Debug, Default)]
 pub struct WayCosts {
     sensors: Vec<SensorWays>,
@@ -74,14 +76,14 @@ impl SensorWays {
             && self.outputs == outputs
     }
 
-    /// The number of polygons left from which on tiles are faster, by times. `counted` is the number by counts.
-    fn most_left(&self, counted: u64) -> u64 {
+    /// Number of polygons left from which on tiles are faster, by times. `counted` is the number by counts.
+    fn max_left(&self, counted: u64) -> u64 {
         if self.costs.iter().any(|costs| costs.frames < ENOUGH) {
             return counted;
         }
         let seconds = |costs: &UnitCosts, left| costs.mean(&of(left));
         let [raster, tiles] = &self.costs;
-        // Twice the number at each step, from the top down while tiles are faster.
+        // Doubles the number at each step, from the top down while tiles are faster.
         let mut most = RANGE * counted;
         while most > counted / RANGE && seconds(tiles, most) < seconds(raster, most) {
             most /= 2;
@@ -89,7 +91,7 @@ impl SensorWays {
         most.max(counted / RANGE)
     }
 
-    /// The number of polygons left from which on a trial takes tiles, if the frame just chosen is one.
+    /// Number of polygons left from which on a trial takes tiles, if the current frame is a trial.
     fn trial(&self, counted: u64) -> Option<u64> {
         let period = if self.frames <= EARLY { TRIED_EARLY } else { TRIED };
         match self.frames % period {
@@ -109,7 +111,7 @@ impl WayCosts {
         let at = match self.sensors.iter().position(|known| known.is_of(sensor, outputs)) {
             Some(at) => at,
             None => {
-                if self.sensors.len() >= MOST_SENSORS {
+                if self.sensors.len() >= MAX_SENSORS {
                     self.sensors.remove(0);
                 }
                 self.sensors.push(SensorWays::new(sensor, outputs));
@@ -119,27 +121,28 @@ impl WayCosts {
         &mut self.sensors[at]
     }
 
-    /// The way of the next frame, by what frames of this sensor took. `chosen` is the way by counts; one that leaves nothing open stays.
+    /// The strategy of the next frame, by the times of this sensor's frames. `chosen` is the strategy by counts; if it
+    /// does not depend on counts, it is returned.
     pub fn adjust(&mut self, sensor: &Sensor, outputs: Outputs, chosen: ChosenWay) -> ChosenWay {
-        if chosen.most_left == u64::MAX {
+        if chosen.max_left == u64::MAX {
             return chosen;
         }
         let known = self.entry(sensor, outputs);
         known.frames += 1;
-        let counted = chosen.most_left;
+        let counted = chosen.max_left;
         let trial = known.trial(counted);
-        let most_left = trial.unwrap_or_else(|| known.most_left(counted));
+        let max_left = trial.unwrap_or_else(|| known.max_left(counted));
         if known.turned >= IN_SUCCESSION && trial.is_none() && !known.frames.is_multiple_of(CHECKED) {
             let why = "the sensor's last frames had too many polygons after the first wave";
-            return ChosenWay { way: Way::Tiles, why, most_left, ..chosen };
+            return ChosenWay { way: Way::Tiles, why, max_left, ..chosen };
         }
-        ChosenWay { most_left, ..chosen }
+        ChosenWay { max_left, ..chosen }
     }
 
     /// Learns from a frame that took this time, from the choice to the images.
     pub fn learn(&mut self, plan: &FramePlan, stats: &Stats, took: Duration) {
         let chosen = plan.chosen();
-        if chosen.most_left == u64::MAX || stats.degradation().is_some() {
+        if chosen.max_left == u64::MAX || stats.degradation().is_some() {
             return;
         }
         let known = self.entry(&plan.sensor, plan.request.outputs);
@@ -169,7 +172,8 @@ mod tests {
     use presight_model::sensor::{Camera, Geometry, SensorSpec};
     use presight_model::world::World;
 
-    /// A sensor whose frames take a known time by each way: frames by each, and for each frame the time lost against the faster way.
+    /// A simulated sensor with a constant time by each strategy: numbers of frames by each, and for each frame the time
+    /// lost against the faster one.
     struct Simulated {
         ways: WayCosts,
         plan: FramePlan,
@@ -193,10 +197,10 @@ mod tests {
 
         /// A frame with a number of polygons left after its first wave.
         fn frame(&mut self, left: u64) -> Way {
-            let counted = ChosenWay { most_left: COUNTED, ..ChosenWay::RASTER };
+            let counted = ChosenWay { max_left: COUNTED, ..ChosenWay::RASTER };
             let chosen = self.ways.adjust(&self.plan.sensor, self.plan.request.outputs, counted);
             self.plan.set_chosen(chosen);
-            let by_tiles = chosen.way == Way::Tiles || left > chosen.most_left;
+            let by_tiles = chosen.way == Way::Tiles || left > chosen.max_left;
             let way = if by_tiles { Way::Tiles } else { Way::Raster };
             let mut stats = Stats { way: Some(way), ..Stats::default() };
             if chosen.way == Way::Raster {
@@ -211,7 +215,7 @@ mod tests {
         }
     }
 
-    /// Where counts are right, trying the other way costs at most 2 %, at any number of polygons.
+    /// If the counted threshold is right, trials cost at most 2 %, at any number of polygons.
     #[test]
     fn trying_costs_little() {
         let seconds: [fn(f64) -> f64; 2] = [|n| 1e-3 * (0.4 + 0.6e-3 * n), |_| 1e-3];
@@ -235,7 +239,7 @@ mod tests {
         }
     }
 
-    /// A sensor that leaves a crowded place goes back to the raster within one check.
+    /// A sensor that leaves a crowded place returns to the raster within one check.
     #[test]
     fn another_place_is_noticed() {
         let mut sensor = Simulated::new([|n| 1e-6 * n, |_| 1e-3]);
@@ -246,7 +250,8 @@ mod tests {
         assert_eq!(sensor.frame(50), Way::Raster);
     }
 
-    /// Within the first hundred frames a sensor that counts leave with the slower way has turned to the faster one.
+    /// Within the first hundred frames, a sensor for which counts choose the slower strategy has turned to the faster
+    /// one.
     #[test]
     fn times_count_soon() {
         let mut sensor = Simulated::new([|n| 1e-3 * (0.4 + 1.2e-3 * n), |_| 1e-3]);

@@ -10,7 +10,7 @@ use std::ops::Range;
 pub(super) struct PolygonSetup {
     /// Inverse depth of a ray s is m . s, in the line frame (image frame for ray tables).
     pub m: DVec3,
-    /// Line grids: no point of it is nearer than this inverse depth tells; infinite if nothing is known of it.
+    /// Line grids: upper bound of its inverse depth; infinite if unknown.
     pub nearest_inverse: f64,
     /// Lines it may cover.
     pub first_line: u32,
@@ -33,7 +33,7 @@ impl PolygonSetup {
     }
 }
 
-/// What the resolve stage needs of a winner.
+/// Data of a winner for the resolve stage.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shade {
     /// Distance of the plane from the sensor: cos_incidence = inverse range x this.
@@ -46,7 +46,7 @@ pub(super) struct Shade {
 #[derive(Debug, Default)]
 pub(super) struct Batch {
     pub polygons: Vec<PolygonSetup>,
-    /// By polygon, on their way to [`Winners`].
+    /// By polygon, until [`Winners::number`] moves them.
     pub shades: Vec<Shade>,
     pub slots: Vec<u32>,
     /// Polygon i wins rays as number `first_number + i`.
@@ -57,38 +57,38 @@ pub(super) struct Batch {
     pub edges: Vec<DVec3>,
     /// Polygons whose vertices were placed among the samples.
     pub placed: usize,
-    /// Of these, those that may cover a sample.
+    /// Placed polygons that may cover a sample.
     pub passed: usize,
-    /// Of these, those that were bounded one by one, because their vertices did not tell enough.
+    /// Passed polygons that were bounded one by one, because the positions of their vertices did not suffice.
     pub bounded: usize,
     pub edge_on: usize,
-    /// Polygons left out between the samples.
+    /// Polygons left out because they lie between samples.
     pub between: usize,
-    /// Metres: none of its polygons is nearer.
+    /// Lower bound of the polygons' distances, metres.
     pub nearest: f32,
-    /// False if the time was up before.
+    /// False if the time was up before its setup.
     pub is_set_up: bool,
-    /// Pixels of the boxes around its polygons' images; only of the first wave, with a deadline.
+    /// Pixels of the boxes around its polygons' images; only in the first wave, with a deadline.
     pub pixels: u64,
     /// Polygons by band: `by_band[band_start[b]..band_start[b + 1]]`.
     by_band: Vec<u32>,
     band_start: Vec<u32>,
 }
 
-/// The number under which no polygon wins a ray.
+/// The number of no polygon.
 pub(super) const NOTHING: u32 = 0;
 
-/// Everything that was set up for a frame, by the numbers under which polygons win rays.
+/// All polygons that were set up for a frame, by the numbers under which they win rays.
 #[derive(Debug, Default)]
 pub(super) struct Winners {
-    /// What is seen. One table for all: it stays in the cache while an image is resolved.
+    /// Data for the resolve stage, in one table, which stays in the cache while an image is resolved.
     pub shades: Vec<Shade>,
-    /// Decide ties.
+    /// The slots decide ties.
     pub slots: Vec<u32>,
 }
 
 impl Winners {
-    /// Only [`NOTHING`], of which nothing is seen.
+    /// Removes all polygons but [`NOTHING`], which has no visible surface.
     pub fn clear(&mut self) {
         self.shades.clear();
         self.shades.push(Shade { distance: f64::NAN, polygon_id: 0, object_id: 0 });
@@ -96,7 +96,7 @@ impl Winners {
         self.slots.push(0);
     }
 
-    /// Adds a polygon; the answer is its number.
+    /// Adds a polygon and returns its number.
     #[inline]
     pub fn push(&mut self, shade: Shade, slot: u32) -> u32 {
         self.shades.push(shade);

@@ -1,5 +1,5 @@
-//! Conservative bounds of the images of eight polygons at a time: which lines each may cover, or that it covers no
-//! ray at all. Most polygons of a scene end here, so this is the loop that must be cheap.
+//! Conservative bounds of the images of eight polygons at a time: the lines that each may cover, or that it covers no
+//! ray at all. This loop has to be cheap, because it rejects most polygons of a scene.
 
 use super::sieve::Reach;
 use presight_model::sensor::{Geometry, LineAxis, LineGrid, PixelGrid, RayGrid, Sensor};
@@ -7,9 +7,9 @@ use pulp::Simd;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::ops::Range;
 
-/// Polygons taken together; a multiple of every vector width there is.
+/// Number of polygons processed together; a multiple of every vector width.
 pub(super) const LANES: usize = 8;
-/// One number for each of them.
+/// One number for each lane.
 pub(super) type Lanes = [f64; LANES];
 
 /// The lines that a polygon may cover: up to two ranges, the second one for polygons over the azimuth seam.
@@ -22,7 +22,7 @@ pub(super) struct Footprint {
     pub lines: LineCover,
     /// Samples on each of them.
     pub samples: Range<u32>,
-    /// No point is nearer in depth, metres; 0 if nothing is known of it.
+    /// Lower bound of the depth, metres; 0 if unknown.
     pub nearest: f64,
 }
 
@@ -46,14 +46,14 @@ struct ScannerBounds<'a> {
     uniform: Option<(f64, f64)>,
 }
 
-/// Relative widening of every bound: far above f64 rounding, far below a pixel.
+/// Relative widening of every bound, far above f64 rounding and far below a pixel.
 pub(super) const SLACK: f64 = 1e-9;
 
-/// What is known of the corners seen so far, by lane.
+/// Extent of the corners so far, by lane.
 pub(super) struct Extent {
     pub least: [Lanes; 3],
     greatest: [Lanes; 3],
-    /// Camera: lines and samples. Scanner: azimuth in `low[0]`, and the greatest squared distance from the axis.
+    /// Camera: lines and samples. Scanner: azimuth in `low[0]`, and the maximum squared distance from the axis.
     pub low: [Lanes; 2],
     pub high: [Lanes; 2],
     outside: [Lanes; 5],
@@ -91,11 +91,11 @@ impl Extent {
         }
     }
 
-    /// A corner of an image plane at z = 1, whose sides are at the top, the bottom, to the left and to the right.
+    /// Takes a corner into an image plane at z = 1 with these sides.
     #[inline(always)]
     pub fn hold_ahead(&mut self, [y, z, x]: [&Lanes; 3], [top, bottom, left, right]: [f64; 4]) {
         for l in 0..LANES {
-            // Greatest signed distance inside each side so far: negative means all corners are outside it.
+            // Maximum signed distance inside each side so far: negative if all corners are outside.
             self.outside[0][l] = self.outside[0][l].max(y[l] - top * z[l]);
             self.outside[1][l] = self.outside[1][l].max(bottom * z[l] - y[l]);
             self.outside[2][l] = self.outside[2][l].max(x[l] - left * z[l]);
@@ -114,11 +114,11 @@ impl Extent {
     #[inline(always)]
     pub fn is_beside(&self, l: usize, range_max_squared: f64) -> bool {
         let outside = self.outside.iter().any(|side| side[l] < 0.0);
-        // Depth is at most range: a polygon wholly deeper than range_max is beyond it.
+        // Depth is at most range: a polygon entirely deeper than range_max is beyond it.
         outside || (self.least[1][l] > 0.0 && self.least[1][l] * self.least[1][l] > range_max_squared)
     }
 
-    /// Squared distance of the box around the corners from the sensor, and from its axis.
+    /// Squared distances of the box around the corners from the sensor and from its axis.
     #[inline(always)]
     pub fn box_distances_squared(&self) -> (Lanes, Lanes) {
         let (mut all, mut axis) = ([0.0; LANES], [0.0; LANES]);
@@ -148,8 +148,8 @@ impl<'a> Bounds<'a> {
         Self { kind, range_max_squared: range_max * range_max * (1.0 + SLACK) }
     }
 
-    /// The footprints of [`LANES`] polygons; corner i of all of them in the frame of the rays, polygons with fewer corners
-    /// repeating one of their own.
+    /// The footprints of [`LANES`] polygons, given corner by corner in the frame of the rays. Polygons with fewer
+    /// corners repeat one of them.
     #[inline(always)]
     pub fn cover<S: Simd>(&self, simd: S, corners: &[[Lanes; 3]]) -> [Footprint; LANES] {
         match &self.kind {
@@ -159,9 +159,9 @@ impl<'a> Bounds<'a> {
         }
     }
 
-    /// As [`Bounds::cover`] of polygons whose lines and samples are told.
+    /// [`Bounds::cover`] for polygons whose lines and samples are given.
     #[inline(always)]
-    pub fn told(&self, corners: &[[Lanes; 3]], reaches: &[Reach]) -> [Footprint; LANES] {
+    pub fn cover_reached(&self, corners: &[[Lanes; 3]], reaches: &[Reach]) -> [Footprint; LANES] {
         let mut e = Extent::new();
         corners.iter().for_each(|corner| e.hold(corner));
         let mut nearest = [0.0; LANES];
@@ -270,7 +270,7 @@ impl ScannerBounds<'_> {
                 end[l] = first[l];
                 continue;
             }
-            // One more at either side is possible, and most polygons that cover no ray end here.
+            // One line more at either side is possible. Most polygons that cover no ray end here.
             (first[l], end[l]) = (
                 first[l] + u32::from(t[first[l] as usize] < from[l]),
                 end[l] - u32::from(t[end[l] as usize - 1] > to[l]),
@@ -305,7 +305,7 @@ impl ScannerBounds<'_> {
         let (Some([low, high]), Some((_, step))) = (columns, self.uniform) else {
             return everything;
         };
-        // Round the axis, or too close by it to tell.
+        // Around the axis, or too close to it to decide.
         if e.astray[l] > 0.0 || (e.turned[l] - e.first[l]).abs() > 1.0 {
             return everything;
         }
@@ -327,8 +327,8 @@ impl ScannerBounds<'_> {
     }
 }
 
-/// Azimuth intervals in columns, of which a whole turn has `TAU / step`; they begin in the first turn. Either sign of the
-/// step.
+/// Azimuth intervals as columns. A full turn has `TAU / step` columns; the intervals begin in the first turn. The step
+/// may be negative.
 #[inline(always)]
 fn columns_of(e: &Extent, start: f64, step: f64) -> [Lanes; 2] {
     let (per_step, turn) = (1.0 / step, TAU / step.abs());
@@ -344,10 +344,10 @@ fn columns_of(e: &Extent, start: f64, step: f64) -> [Lanes; 2] {
     [low, high]
 }
 
-/// Widening of approximate azimuths, radians: above the error of [`atan2_approximately`].
+/// Widening of approximate azimuths, radians: more than the error of [`atan2_approximately`].
 pub(super) const AZIMUTH_SLACK: f64 = 2e-5;
 
-/// Follows the azimuth along the outline, corner by corner, so that it may leave -pi..pi.
+/// Follows the azimuth along the outline from corner to corner, so that it may leave -pi..pi.
 #[inline(always)]
 fn unwrap_azimuth(e: &mut Extent, i: usize, x: &Lanes, y: &Lanes) {
     for l in 0..LANES {
@@ -414,7 +414,8 @@ mod tests {
 
         #[test]
         fn pieces_are_the_integers_between(low in -20.0..20.0f64, length in -1.0..20.0f64, n in 1usize..12) {
-            let want: Vec<u32> = (0..n as u32).filter(|&i| f64::from(i) >= low && f64::from(i) <= low + length).collect();
+            let between = |i: &u32| f64::from(*i) >= low && f64::from(*i) <= low + length;
+            let want: Vec<u32> = (0..n as u32).filter(between).collect();
             prop_assert_eq!(pieces(low, low + length, n).collect::<Vec<_>>(), want);
         }
     }

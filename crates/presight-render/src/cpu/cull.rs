@@ -1,8 +1,8 @@
-//! What lies behind what is drawn already: runs are drawn nearest first, in waves, and before each wave those whose
-//! box is wholly behind the z-buffer are dropped. Cost then follows what is visible.
+//! Occlusion culling. Runs are drawn nearest first, in waves. Before each wave, runs whose box is entirely behind the
+//! z-buffer are dropped, so that cost follows the visible polygons.
 
 use super::Bands;
-use super::bounds::{Bounds, Footprint, LANES, Lanes};
+use super::bounds::{Bounds, Footprint, LANES, Lanes, SLACK};
 use super::raster_lines::{Buffer, EIGHT};
 use super::setup::RayInstance;
 use crate::plan::{FramePlan, Run};
@@ -11,20 +11,17 @@ use presight_model::geometry::Aabb;
 use presight_model::sensor::{LineAxis, PixelGrid};
 use pulp::Simd;
 
-/// Side of the squares of pixels whose farthest depth is kept.
+/// Side of the squares of pixels for which the farthest depth is kept.
 pub(super) const TILE: usize = EIGHT;
 
-/// A box this much nearer than the farthest depth behind it is not hidden: far above f64 rounding.
-const SLACK: f64 = 1e-9;
-
-/// The greatest inverse depth in a footprint; infinite if nothing is known of it.
+/// Upper bound of the inverse depth in a footprint; infinite if unknown.
 #[inline(always)]
 pub(super) fn nearest_inverse(footprint: &Footprint) -> f64 {
     let nearest = footprint.nearest * (1.0 - SLACK);
     if nearest > 0.0 { 1.0 / nearest } else { f64::INFINITY }
 }
 
-/// The runs that may show: all but those behind what the bands hold.
+/// The runs that may be visible: all but those behind the content of the bands.
 #[inline(always)]
 pub(super) fn visible<S: Simd>(
     simd: S,
@@ -48,7 +45,7 @@ pub(super) fn visible<S: Simd>(
             nearest[l] = nearest_depth(&around, plan.sensor.grid());
         }
         for (l, footprint) in bounds.cover(simd, &corners).iter().enumerate().take(eight.len()) {
-            // In front of the sensor and clear of its axis, else the box has no footprint to speak of.
+            // In front of the sensor and away from its axis; other boxes have no useful footprint.
             let hidden = nearest[l] > 0.0 && is_behind(footprint, 1.0 / nearest[l], canvas, bands);
             if !hidden {
                 kept.push(eight[l]);
@@ -58,7 +55,7 @@ pub(super) fn visible<S: Simd>(
     kept
 }
 
-/// Puts a run's box into a lane; the answer is the box around it in the frame of the rays.
+/// Puts a run's box into a lane. Returns the box around it in the frame of the rays.
 #[inline(always)]
 fn place_box(at: &RayInstance<'_>, run: &Run, lane: usize, corners: &mut [[Lanes; 3]; 8]) -> Aabb {
     let Aabb { min, max } = at.mesh.cluster_of(run.first).1.bounds;
@@ -73,7 +70,7 @@ fn place_box(at: &RayInstance<'_>, run: &Run, lane: usize, corners: &mut [[Lanes
     around
 }
 
-/// The least depth of a box in the frame of the rays, 0 if it cannot be bounded.
+/// Minimum depth of a box in the frame of the rays; 0 if it has no bound.
 #[inline(always)]
 fn nearest_depth(around: &Aabb, grid: &PixelGrid) -> f64 {
     let distance = || around.distance_squared(DVec3::ZERO).sqrt() * (1.0 - SLACK);
@@ -81,7 +78,7 @@ fn nearest_depth(around: &Aabb, grid: &PixelGrid) -> f64 {
         PixelGrid::Rays(_) => distance(),
         // Pinhole depth is the middle coordinate of the line frame.
         PixelGrid::Lines(lines) if lines.axis() == LineAxis::Rows => around.min.y * (1.0 - SLACK),
-        // A box round the scanner's axis has no azimuth interval.
+        // A box around the scanner's axis has no azimuth interval.
         PixelGrid::Lines(_) => {
             let beside = around.min.max(-around.max).truncate().max_element() > 0.0;
             if beside { distance() } else { 0.0 }
@@ -89,7 +86,7 @@ fn nearest_depth(around: &Aabb, grid: &PixelGrid) -> f64 {
     }
 }
 
-/// True if every tile of the footprint is filled by something nearer than `inverse`.
+/// True if all pixels in every tile of the footprint are nearer than `inverse`.
 #[inline(always)]
 fn is_behind(footprint: &Footprint, inverse: f64, canvas: &[Buffer], bands: &Bands) -> bool {
     let columns = footprint.samples.start as usize / TILE..(footprint.samples.end as usize).div_ceil(TILE);
@@ -102,7 +99,7 @@ fn is_behind(footprint: &Footprint, inverse: f64, canvas: &[Buffer], bands: &Ban
     })
 }
 
-/// The least inverse depth of every tile of a band; 0 where a ray has met nothing yet.
+/// Measures the minimum inverse depth of every tile of a band; 0 where a ray has hit no polygon yet.
 #[inline(always)]
 pub(super) fn measure(buffer: &mut Buffer, lines: usize, samples: usize) {
     buffer.clear_farthest(lines, samples, f64::INFINITY);

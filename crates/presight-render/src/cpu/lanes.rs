@@ -1,5 +1,5 @@
-//! Polygons of a mesh side by side: corners, planes and edges of all of them at once. The raster takes eight, a tile one at a time:
-//! what a polygon is does not depend on how many are taken.
+//! Corners, planes and edges of several polygons of a mesh at the same time: eight for the raster, one for a tile. The
+//! results for a polygon do not depend on the number of lanes.
 
 use super::setup::RayInstance;
 use presight_model::environment::{PolygonRecord, Positions};
@@ -8,30 +8,30 @@ use presight_model::limits::MAX_CORNERS;
 /// Three coordinates of a point of each polygon.
 type Points<const LANES: usize> = [[f64; LANES]; 3];
 
-/// Positions that clusters keep together.
+/// Number of positions that clusters keep together.
 const TOGETHER: usize = size_of::<Positions>() / size_of::<[f32; 3]>();
 
-/// Where the sensor is farther off a polygon's plane than this, relative to the polygon's farthest corner, its depths and edges
-/// are right to 1e-11 of it.
+/// Minimum distance of the sensor from a polygon's plane, relative to the polygon's farthest corner, at which the
+/// polygon's depths and edges are right to 1e-11 of that corner's distance.
 pub(super) const CLEAR: f64 = 1e-4;
 
-/// The polygons in hand. Room for corners is kept from eight to eight: clearing it costs more than filling it.
+/// The polygons in the lanes. Room for corners is kept between loads: clearing it costs more than filling it.
 pub(super) struct PolygonLanes<const LANES: usize> {
-    /// The greatest number of corners.
+    /// Maximum number of corners among the lanes.
     count: usize,
     pub corner_counts: [u32; LANES],
-    /// By corner, in the frame of the rays. After its last one a polygon repeats its first one.
+    /// By corner, in the frame of the rays. After its last corner a polygon repeats its first.
     corners: [Points<LANES>; MAX_CORNERS],
-    /// The same in the mesh frame, from the sensor's centre.
+    /// Corners in the mesh frame, relative to the sensor's centre.
     from_center: [Points<LANES>; MAX_CORNERS],
-    /// Vertices in the mesh.
+    /// Vertex indices in the mesh.
     indices: [[u32; LANES]; MAX_CORNERS],
     normals: Points<LANES>,
-    /// The plane's distance from the sensor, along the mesh normal; its sign is the side.
+    /// Distance of the plane from the sensor, along the mesh normal. Its sign is the side.
     pub distance: [f64; LANES],
-    /// The distance is no greater than its rounding: the edges span no cone.
+    /// True if the distance does not exceed its rounding: the edges span no cone.
     pub edge_on: [bool; LANES],
-    /// The sensor is clear of the plane, so that what is drawn is where the corners are.
+    /// True if the sensor is clear of the plane, so that the drawn polygon agrees with its corners.
     pub clear: [bool; LANES],
     /// Inverse depth of a ray s is m . s.
     pub m: Points<LANES>,
@@ -60,8 +60,8 @@ impl<const LANES: usize> PolygonLanes<LANES> {
         }
     }
 
-    /// Takes up to [`LANES`] polygons; lanes without one repeat the last. Where the positions of their cluster are given, all are of it:
-    /// these are in the cache.
+    /// Loads up to [`LANES`] polygons; further lanes repeat the last. If `cluster` is given, it has the positions of
+    /// the cluster to which all of them belong, which are in the cache.
     #[inline(always)]
     pub fn load(&mut self, at: &RayInstance<'_>, polygons: &[u32], cluster: Option<&[Positions]>) {
         let (vertices, all_corners) = (at.mesh.vertices(), at.mesh.all_corners());
@@ -95,7 +95,7 @@ impl<const LANES: usize> PolygonLanes<LANES> {
         }
     }
 
-    /// Of each lane.
+    /// Record of each lane's polygon.
     #[inline(always)]
     fn records<'a>(at: &RayInstance<'a>, polygons: &[u32]) -> [&'a PolygonRecord; LANES] {
         let records = at.mesh.polygons();
@@ -107,8 +107,8 @@ impl<const LANES: usize> PolygonLanes<LANES> {
         &self.corners[..self.count]
     }
 
-    /// Measures how far the sensor is off each plane. That is taken at the nearest corner, and must be more than the corners are
-    /// off the plane: else the side is not proven.
+    /// Measures the distance of the sensor from each plane, at the nearest corner. It must exceed the distances of the
+    /// corners from the plane; otherwise the side is not proven.
     #[inline(always)]
     pub fn measure(&mut self, at: &RayInstance<'_>, polygons: &[u32]) {
         for l in 0..LANES {
@@ -139,7 +139,7 @@ impl<const LANES: usize> PolygonLanes<LANES> {
         }
     }
 
-    /// Fills `m` of the polygons that were measured.
+    /// Fills `m` of the measured polygons.
     #[inline(always)]
     pub fn set_up_planes(&mut self, at: &RayInstance<'_>) {
         let (n, m) = (&self.normals, at.m_from_normal);
@@ -154,8 +154,8 @@ impl<const LANES: usize> PolygonLanes<LANES> {
 
     /// Fills `edges` of the polygons that were measured.
     ///
-    /// Edges are computed from the lower vertex index to the higher, sign afterwards, so that neighbours get exactly opposite
-    /// planes and no ray falls between them.
+    /// Edges are computed from the lower vertex index to the higher, sign afterwards, so that neighbours get exactly
+    /// opposite planes and no ray falls between them.
     #[inline(always)]
     pub fn set_up_edges(&mut self, at: &RayInstance<'_>, polygons: &[u32]) {
         let (records, all_corners) = (Self::records(at, polygons), at.mesh.all_corners());

@@ -2,15 +2,16 @@
 //!
 //! | stage | in | out | its twin on the GPU |
 //! |---|---|---|---|
-//! | `cull` | runs of the plan | runs that no earlier wave hides | `cull.wgsl` drops single polygons: out of view, facing away, material |
+//! | `cull` | runs of the plan | runs that no earlier wave hides | `cull.wgsl`, for single polygons |
 //! | `setup` | runs | batches: polygons that may cover a ray, with planes, edges and bounds | `setup.wgsl` |
-//! | `raster_lines` or `raster_rays` | batches | a band of the z-buffer: inverse depth and winner per ray | `raster_lines.wgsl`, `raster_rays.wgsl` |
+//! | `raster_lines` | batches | a band of the z-buffer: inverse depth and winner per ray | `raster_lines.wgsl` |
+//! | `raster_rays` | the same for ray tables | | `raster_rays.wgsl` |
 //! | `resolve` | the band | the requested images | `resolve.wgsl` |
 //!
-//! Times and what was left out are reported as `hidden`, `setup`, `rasterization` and `resolve`.
+//! `hidden`, `setup`, `rasterization` and `resolve` report the times of the stages and the polygons that each left out.
 //!
-//! Nearest wins, bit-equal inverse depths go to the lower slot: the order of work, and with it the number of
-//! threads, cannot change a bit.
+//! The nearest polygon wins a ray, and among bit-equal inverse depths the polygon in the lower slot. Thus neither the
+//! order of work nor the number of threads can change a bit.
 
 mod batch;
 mod bounds;
@@ -33,6 +34,7 @@ pub use tiles::{Margins, Vectors};
 use crate::deadline::DeadlineOutcome;
 use crate::plan::{ChosenWay, CountName, FramePlan, Images, NOTHING_IN_VIEW, StageName, Stats, Way};
 use batch::{Batch, Winners};
+use cull::TILE;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::memory::{self, FrameMemory};
 use presight_model::sensor::{ImagePart, LineAxis, PixelGrid};
@@ -47,35 +49,35 @@ use waves::{Drawn, Waves};
 /// The CPU engine with its threads and buffers.
 pub struct CpuEngine {
     pool: Arc<rayon::ThreadPool>,
-    /// All work of a frame is done by the thread that asks.
+    /// The calling thread does all work of a frame.
     alone: bool,
     batches: Vec<Batch>,
     winners: Winners,
     canvas: Vec<Buffer>,
-    /// Images of a part, before they are whole ones.
+    /// Images of a part of the image, before they are enlarged to the whole.
     part: Images,
-    /// Memory of the threads that trace tiles, the number of the frame, and the width of the search.
+    /// Memory of the threads that trace tiles.
     rooms: Vec<tiles::Room>,
     frame: u64,
     vectors: Vectors,
     margins: Margins,
-    /// What the trees that are lacking cost, and what frames without them have cost so far: in polygons.
+    /// Cost of the missing trees, and what frames without them have cost so far, in polygons.
     price: u64,
     savings: u64,
     row: RowDrawer,
 }
 
-/// Pixels of a band: small enough for its z-buffer to stay in the L2 cache.
+/// Pixels of a band, few enough for its z-buffer to stay in the L2 cache.
 const BAND_PIXELS: usize = 8192;
 
-/// Frames of fewer rays are drawn by the calling thread: another one takes longer to wake up than it saves.
-const FEW_RAYS: usize = 1024;
+/// Frames of fewer rays are drawn by the calling thread: waking another thread takes longer than it saves.
+pub(crate) const FEW_RAYS: usize = 1024;
 
 impl CpuEngine {
-    /// On these threads, or on so many; 0 takes all cores.
+    /// An engine on these threads, or on this number of new threads; 0 takes all cores.
     ///
     /// # Errors
-    /// As [`Threads::new`].
+    /// Errors of [`Threads::new`].
     pub fn new(threads: impl Into<Threads>) -> Result<Self> {
         Ok(Self::on_pool(threads.into().pool()?, false))
     }
@@ -98,40 +100,41 @@ impl CpuEngine {
         }
     }
 
-    /// Another one that hands no work to other threads, for a task on one of the pool's.
+    /// An engine that hands no work to other threads, for a task on a thread of the pool.
     pub fn on_one_thread(&self) -> Self {
         Self { vectors: self.vectors, ..Self::on_pool(self.pool.clone(), true) }
     }
 
-    /// Searches trees and rows with these vectors, for tests and benches; with narrower ones if the processor lacks them.
+    /// Sets the vectors for searches of trees and rows, for tests and benches. If the processor lacks them, narrower
+    /// ones are used.
     #[must_use]
     pub fn with_vectors(self, vectors: Vectors) -> Self {
         Self { vectors, ..self }
     }
 
-    /// Searches trees with other margins, for tests that plant faults.
+    /// Sets other margins for searches of trees, for tests that plant faults.
     #[doc(hidden)]
     #[must_use]
     pub fn with_margins(self, margins: Margins) -> Self {
         Self { margins, ..self }
     }
 
-    /// How many threads it has.
+    /// Number of threads.
     pub fn threads(&self) -> usize {
         if self.alone { 1 } else { self.pool.current_num_threads() }
     }
 
-    /// True if it is too early to make the trees that tiles lack, so that the raster draws.
+    /// True if it is too early to build the trees that tiles lack, so that the raster draws.
     pub fn waits_for_trees(&self) -> bool {
         self.price > self.savings
     }
 
-    /// Fills the asked images.
+    /// Fills the requested images.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] if the plan holds more polygons than the engine can number;
-    /// [`presight_model::ErrorKind::System`] if there is no memory for the images; those of
-    /// [`presight_model::Pose::check`], if the plan's pose was changed.
+    /// [`presight_model::ErrorKind::System`] if memory for the images is short; errors of
+    /// [`presight_model::Pose::check`] if the plan's pose was changed.
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         if let Some(cut) = &plan.cut {
             return self.draw_row(plan, cut, images, stats);
@@ -148,7 +151,7 @@ impl CpuEngine {
         }
     }
 
-    /// Fills the images of a part, which has so much more time and may have to be thinned, and leaves the rest out.
+    /// Fills the images of a part within the remaining time, which may require thinning, and leaves the rest out.
     fn draw_part(
         &mut self,
         plan: &FramePlan,
@@ -167,12 +170,12 @@ impl CpuEngine {
         let left_out = images.spread(&of_part, &part, &plan.sensor)?;
         self.part = of_part;
         stats.work.image_bytes = images.bytes();
-        progress::tell_part(plan, &part, since, left_out, stats);
+        progress::record_part(plan, &part, since, left_out, stats);
         Ok(())
     }
 
-    /// Fills the asked images. The answer is a stride where thinned images, for which nothing is done yet, would have more samples by
-    /// the deadline.
+    /// Fills the requested images. Returns a stride if thinned images would have more samples by the deadline; the
+    /// images are then still empty.
     fn draw(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<Option<u32>> {
         plan.world_from_sensor.check()?;
         if plan.way() == Way::Tiles {
@@ -198,7 +201,7 @@ impl CpuEngine {
         }
     }
 
-    /// Draws by tiles. Returns false, with a notice if memory does not suffice, where the raster has to.
+    /// Draws by tiles. Returns false if the raster has to draw instead, with a notice if memory is short.
     fn try_tiles(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<bool> {
         match self.draw_tiles(plan, images, stats) {
             Err(fault) if fault.kind() == ErrorKind::System => {
@@ -209,8 +212,8 @@ impl CpuEngine {
         }
     }
 
-    /// Draws the selected polygons. If it may turn to tiles, nothing is drawn where these are faster by the polygons left after the first
-    /// wave.
+    /// Draws the selected polygons. If the engine may turn to tiles, and tiles are faster for the number of polygons
+    /// left after the first wave, draws nothing.
     fn draw_raster(
         &mut self,
         plan: &FramePlan,
@@ -232,7 +235,7 @@ impl CpuEngine {
                 "lower range_max or split the environment",
             ));
         }
-        // Beyond a radius there may be something.
+        // Beyond a radius there may be further polygons.
         if plan.polygon_count == 0 && plan.radius().is_none() {
             images.show_nothing(plan.sensor.grid());
             plan.finish_noting(images, stats)?;
@@ -245,15 +248,15 @@ impl CpuEngine {
         self.reserve_canvas(&bands)?;
         let Self { pool, alone, batches, winners, canvas, .. } = self;
         let canvas = &mut canvas[..bands.count()];
-        // Here nothing waits for another task, and no other one comes between.
+        // Here no other task delays or interrupts the work.
         let here = *alone || few;
         let mut waves = Waves::new(plan, &bands, here, (batches, winners), canvas, images);
-        // The whole frame on the pool: between two stages its threads stay awake.
+        // The whole frame runs on the pool: its threads stay awake between two stages.
         let mut draw = || waves.draw_all(may_turn, stats);
         let drawn = if here { draw() } else { pool.install(draw) };
-        let left = waves.left.filter(|left| *left > plan.chosen().most_left);
+        let left = waves.left.filter(|left| *left > plan.chosen().max_left);
         if let Drawn::All = drawn {
-            // What trees would have saved.
+            // The time that trees would have saved.
             self.savings += left.unwrap_or(0);
             plan.finish_noting(images, stats)?;
         }
@@ -261,16 +264,16 @@ impl CpuEngine {
     }
 }
 
-/// What time thinned images save, by the plan's pace.
+/// Time that thinned images save, by the plan's pace.
 fn saved(plan: &FramePlan, stride: u32) -> Duration {
     plan.pace().map_or(Duration::ZERO, |pace| Duration::from_secs_f64(pace.saved(stride)))
 }
 
-/// Images and buffers that take less are not asked for beforehand.
+/// The engine does not check whether memory is available for images and buffers smaller than this.
 const LITTLE: u64 = 64 << 20;
 
 impl CpuEngine {
-    /// Takes the memory of the bands' buffers.
+    /// Reserves the memory of the bands' buffers.
     fn reserve_canvas(&mut self, bands: &Bands) -> Result<()> {
         if self.canvas.len() < bands.count() {
             self.canvas.resize_with(bands.count(), Buffer::default);
@@ -281,7 +284,7 @@ impl CpuEngine {
         Ok(())
     }
 
-    /// That there is room for what buffers and images do not hold yet.
+    /// Checks that memory is available for the buffers and images that are not allocated yet.
     fn require_memory(&self, plan: &FramePlan, bands: &Bands, images: &Images) -> Result<()> {
         let frame = FrameMemory {
             pixels: (bands.lines * bands.samples) as u64,
@@ -295,9 +298,9 @@ impl CpuEngine {
     }
 }
 
-const _: () = assert!(resolve::TOGETHER.is_multiple_of(cull::TILE));
+const _: () = assert!(resolve::TOGETHER.is_multiple_of(TILE));
 
-/// How the image is cut into bands of lines, each one task.
+/// Bands of image lines, each drawn by one task.
 pub(crate) struct Bands {
     axis: LineAxis,
     lines: usize,
@@ -311,8 +314,8 @@ impl Bands {
             PixelGrid::Lines(g) if g.axis() == LineAxis::Columns => {
                 (g.axis(), g.lines().len(), g.weights().len(), resolve::TOGETHER)
             }
-            PixelGrid::Lines(g) => (g.axis(), g.lines().len(), g.weights().len(), cull::TILE),
-            PixelGrid::Rays(g) => (LineAxis::Rows, g.height() as usize, g.width() as usize, raster_rays::BAND_MULTIPLE),
+            PixelGrid::Lines(g) => (g.axis(), g.lines().len(), g.weights().len(), TILE),
+            PixelGrid::Rays(g) => (LineAxis::Rows, g.height() as usize, g.width() as usize, TILE),
         };
         let fair = lines.div_ceil(4 * threads);
         let per_band = (BAND_PIXELS / samples).max(1).min(fair).max(8).div_ceil(multiple) * multiple;

@@ -1,38 +1,35 @@
-//! How far a frame with a deadline has come, band by band.
+//! Progress of a frame with a deadline, band by band.
 //!
-//! A band draws one batch of a wave after the other, nearest first, and looks at the clock before each. Where it stops,
-//! everything nearer than the first batch left out has been drawn: samples nearer than that are final. What was drawn beyond
-//! it is not final and is not shown.
+//! A band draws one batch of a wave after the other, nearest first, and reads the clock before each. When it stops, all
+//! polygons nearer than the first batch left out have been drawn: samples nearer than that batch are final. Samples
+//! beyond it are not final, and the image leaves them out.
 
 use super::batch::Batch;
 use super::thinning;
 use super::waves::FIRST_WAVE;
-use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Wave};
+use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, PLENTY, Wave};
 use crate::plan::{CountName, FramePlan, Run, StageName, Stats};
 use presight_model::sensor::ImagePart;
 use std::ops::Range;
 use std::time::Duration;
 
-/// Least size of a wave, which the time left may ask for.
-const LEAST_WAVE: usize = *FIRST_WAVE.end() / 4;
+/// Minimum number of polygons in a wave, whatever time is left.
+const MIN_WAVE: usize = *FIRST_WAVE.end() / 4;
 
-/// Time left, by what drawing is expected to take, from which on a wave is drawn without a look at the clock.
-const PLENTY: f64 = 8.0;
-
-/// How far a band has come.
+/// Progress of a band.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Band {
-    /// Metres: everything nearer has been drawn.
+    /// Metres: all polygons nearer than this have been drawn.
     pub complete_to: f32,
-    /// It stopped before all of its polygons were drawn.
+    /// True if it stopped before all of its polygons were drawn.
     pub has_stopped: bool,
-    /// More was drawn than the tiles' farthest depths tell.
+    /// True if it drew samples since the tiles' farthest depths were measured.
     pub stale: bool,
     /// Samples tested against a polygon's depth.
     pub tested: u64,
-    /// Intervals, or tiles, in which they lie.
+    /// Intervals, or tiles, that hold these samples.
     pub spans: u64,
-    /// Of these, samples since the clock was asked for the last time.
+    /// Tested samples since the last reading of the clock.
     pub unwatched: u64,
     /// Samples that show a polygon; counted only with a deadline.
     pub written: u64,
@@ -42,8 +39,8 @@ pub(super) struct Band {
     pub resolving: Duration,
 }
 
-/// Records the times of hiding, of setup and of drawing.
-pub(super) fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
+/// Records the times of culling, setup and drawing.
+pub(super) fn record_stages(times: [Duration; 3], waves: usize, stats: &mut Stats) {
     let [hiding, setting_up, drawing] = times.map(|time| time.as_secs_f64() * 1e3);
     if waves > 1 {
         stats.stages_ms.push((StageName::Hidden, hiding));
@@ -54,10 +51,10 @@ pub(super) fn tell_stages(times: [Duration; 3], waves: usize, stats: &mut Stats)
     stats.stages_ms.push((StageName::Rasterization, drawing));
 }
 
-/// The runs to draw next: as many polygons as all before them, and at least `least`, but no more than `most`.
-pub(super) fn next_wave(runs: &[Run], start: usize, least: usize, most: usize) -> Range<usize> {
+/// The runs to draw next: as many polygons as all runs before them, at least `min` and at most `max`.
+pub(super) fn next_wave(runs: &[Run], start: usize, min: usize, max: usize) -> Range<usize> {
     let before: usize = runs[..start].iter().map(|r| r.count as usize).sum();
-    let wanted = before.max(least).min(most);
+    let wanted = before.max(min).min(max);
     let mut polygons = 0;
     let mut end = start;
     while end < runs.len() && polygons < wanted {
@@ -67,20 +64,21 @@ pub(super) fn next_wave(runs: &[Run], start: usize, least: usize, most: usize) -
     start..end
 }
 
-/// How far a frame has come.
+/// Progress of a frame.
 pub(super) struct FrameProgress<'a> {
     plan: &'a FramePlan,
     pub bands: Vec<Band>,
-    /// Drawing began so long after the call.
+    /// Time from the call to the beginning of drawing.
     begun: Duration,
-    /// The time was up before all runs were drawn, at this time after the call.
+    /// Time after the call at which drawing stopped before all runs were drawn.
     stopped_at: Option<Duration>,
     pub has_stopped: bool,
-    /// The drawing may be stopped, so that bands are kept in step.
+    /// True if the drawing may be stopped, so that bands must keep the same progress.
     pub in_step: bool,
-    /// There is many times the time that the drawing is expected to take: bands draw a wave without a look at the clock.
+    /// True if the time left exceeds the expected drawing time by [`PLENTY`]: bands draw a wave without reading the
+    /// clock.
     pub has_plenty: bool,
-    /// The first wave, with a deadline: when its drawing began, and what is known of it.
+    /// The first wave, with a deadline: the time when its drawing began, and its record.
     wave: Option<(Duration, Wave)>,
 }
 
@@ -98,8 +96,9 @@ impl<'a> FrameProgress<'a> {
         }
     }
 
-    /// Takes note of the first wave, that of the first `done` runs, after its setup, which took so long. `beyond` is the nearest distance
-    /// of what follows. The answer is the stride at which most samples are to be expected in time.
+    /// Records the first wave, made of the first `done` runs, after its setup, which took `set_up`. `beyond` is the
+    /// nearest distance of the runs that follow. Returns the stride at which the largest number of samples is expected
+    /// in time.
     pub fn begin_wave(&mut self, batches: &[Batch], done: usize, beyond: f32, set_up: Duration) -> u32 {
         let Some(watch) = self.plan.watch() else { return 1 };
         let polygons = batches.iter().map(|batch| batch.polygons.len() as u64).sum();
@@ -127,7 +126,8 @@ impl<'a> FrameProgress<'a> {
         }
     }
 
-    /// Where one band has stopped the others do too, complete to where they are. True if so.
+    /// Stops all bands once one band has stopped; each is complete as far as it has drawn. Returns true if they have
+    /// stopped.
     pub fn stop_together(&mut self) -> bool {
         let stopped = self.bands.iter().any(|band| band.has_stopped);
         if stopped {
@@ -136,12 +136,13 @@ impl<'a> FrameProgress<'a> {
         stopped
     }
 
-    /// The first wave is drawn, unless the time was up before. What is told of it is drawing alone, without images.
+    /// Records the end of the first wave, unless the time was up before. The record covers drawing alone, without
+    /// images.
     pub fn end_wave(&mut self, waves: usize, last: bool) {
         if waves > 1 {
             return;
         }
-        // Of a wave that was not set up nothing is learnt either.
+        // A wave that was not set up is not recorded either.
         let stopped = self.bands.iter().any(|band| band.has_stopped) || self.wave.is_some_and(|(_, w)| w.polygons == 0);
         let (Some(watch), Some((begun, wave))) = (self.plan.watch(), &mut self.wave) else { return };
         let threads = rayon::current_num_threads().max(1) as u32;
@@ -153,7 +154,7 @@ impl<'a> FrameProgress<'a> {
         }
     }
 
-    /// True when the images have to be made of what there is.
+    /// True when the images have to be made from the polygons drawn so far.
     pub fn is_over(&mut self) -> bool {
         let Some(watch) = self.plan.watch() else { return false };
         self.has_stopped = self.bands.iter().any(|band| band.has_stopped) || watch.is_over();
@@ -163,16 +164,17 @@ impl<'a> FrameProgress<'a> {
         self.has_stopped
     }
 
-    /// Polygons of the next wave at most: by what those of the first `done` runs took, as many as there is time for.
-    pub fn most_polygons(&self, done: usize) -> usize {
+    /// Maximum number of polygons in the next wave: as many as the time left allows, by the time that the first `done`
+    /// runs took.
+    pub fn max_polygons(&self, done: usize) -> usize {
         let Some(watch) = self.plan.watch().filter(|_| done > 0) else { return usize::MAX };
         let polygons: usize = self.plan.runs[..done].iter().map(|r| r.count as usize).sum();
         let spent = watch.elapsed().saturating_sub(self.begun).as_secs_f64().max(1e-9);
-        ((watch.left().as_secs_f64() / spent * polygons as f64) as usize).max(LEAST_WAVE)
+        ((watch.left().as_secs_f64() / spent * polygons as f64) as usize).max(MIN_WAVE)
     }
 
-    /// Tells counts and, with a deadline, what was given up.
-    pub fn tell(&self, stats: &mut Stats) {
+    /// Records counts and, with a deadline, how many samples were given up.
+    pub fn record(&self, stats: &mut Stats) {
         let sum = |of: fn(&Band) -> u64| self.bands.iter().map(of).sum::<u64>();
         stats.count(CountName::Spans, sum(|band| band.spans) as usize);
         stats.count(CountName::SamplesTested, sum(|band| band.tested) as usize);
@@ -192,8 +194,8 @@ impl<'a> FrameProgress<'a> {
     }
 }
 
-/// Tells that a part of the image was drawn since some time after the call, and that so many rays were not.
-pub(super) fn tell_part(plan: &FramePlan, part: &ImagePart, since: Duration, left_out: u64, stats: &mut Stats) {
+/// Records that a part of the image was drawn, beginning at some time after the call, and the number of rays left out.
+pub(super) fn record_part(plan: &FramePlan, part: &ImagePart, since: Duration, left_out: u64, stats: &mut Stats) {
     let kept = stats.deadline.get_or_insert_default();
     if left_out == 0 {
         return;

@@ -9,7 +9,7 @@ use presight_model::sensor::{LineAxis, LineGrid, Octet};
 use pulp::Simd;
 use std::ops::Range;
 
-/// Samples taken together, and the unit in which the lines of a z-buffer are kept.
+/// Number of samples processed together, and the unit of a z-buffer's lines.
 pub(super) const EIGHT: usize = Octet::LEN;
 
 /// Inverse depths of eight samples of a line.
@@ -22,35 +22,36 @@ pub(super) struct Depths(pub [f64; EIGHT]);
 #[repr(align(64))]
 pub(super) struct Numbers(pub [u64; EIGHT]);
 
-/// The z-buffer of a band in octets of a line. Octets that go to the same place in an image are neighbours: those of a
-/// line where lines are rows, else those with the same samples on neighbouring lines. Where lines have few samples, an octet is one
-/// sample of eight neighbouring lines.
+/// The z-buffer of a band in octets of a line. Octets with neighbouring places in the image are neighbours: if lines
+/// are image rows, the octets of a line, otherwise the octets with the same samples on neighbouring lines. If lines
+/// have few samples, an octet is one sample of eight neighbouring lines.
 #[derive(Default)]
 pub(super) struct Buffer {
-    /// 1 / depth in the frame of the rays; 0 is nothing, and infinite past the end of a line, where nothing is drawn.
+    /// 1 / depth in the frame of the rays: 0 without a polygon, and infinite past the end of a line, where no polygon
+    /// is drawn.
     pub inverse: Vec<Depths>,
-    /// The polygon that is there, by its number in [`super::batch::Winners`].
+    /// Number of the polygon in [`super::batch::Winners`].
     pub winner: Vec<Numbers>,
-    /// From a line to the next one, and from an octet to the next one on its line.
+    /// Steps from a line to the next, and from an octet to the next on its line.
     pub per_line: usize,
     pub per_octet: usize,
-    /// Samples of a line where they are few, and octets go across lines.
+    /// Number of samples of a line if there are few, so that octets go across lines.
     pub few: Option<usize>,
-    /// Least inverse depth of every tile, see [`super::cull`]; rows of them in whole eights, past the end of which nothing is
-    /// hidden behind less than everything.
+    /// Minimum inverse depth of every tile, see [`super::cull`], in rows of whole eights. Past the end of a row the
+    /// value hides no polygon.
     farthest: Vec<[f64; EIGHT]>,
-    /// Eights of tiles in a row of them.
+    /// Number of eights in a row of tiles.
     eights: usize,
 }
 
 impl Buffer {
-    /// From a line to the next one, from an octet to the next one on its line, and the octets in all.
+    /// Steps from a line to the next and from an octet to the next on its line, and the number of octets.
     fn layout(axis: LineAxis, lines: usize, samples: usize) -> [usize; 3] {
         let octets = samples.div_ceil(EIGHT);
         match axis {
             LineAxis::Columns if samples <= FEW => [0, 0, samples * lines.div_ceil(EIGHT)],
             LineAxis::Rows => [octets, 1, octets * lines],
-            // Odd, so that a line is spread over all sets of the cache.
+            // Odd, so that a line spreads over all sets of the cache.
             LineAxis::Columns => [1, lines | 1, octets * (lines | 1)],
         }
     }
@@ -60,7 +61,7 @@ impl Buffer {
         (size_of::<Depths>() * self.inverse.capacity() + size_of::<Numbers>() * self.winner.capacity()) as u64
     }
 
-    /// Takes the memory that [`Buffer::clear`] needs.
+    /// Reserves the memory for [`Buffer::clear`].
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::System`] if the system refuses it.
@@ -70,7 +71,7 @@ impl Buffer {
         memory::reserve(&mut self.winner, size)
     }
 
-    /// Nothing drawn yet.
+    /// Removes all polygons.
     pub fn clear(&mut self, axis: LineAxis, lines: usize, samples: usize) {
         let octets = samples.div_ceil(EIGHT);
         let size;
@@ -95,7 +96,7 @@ impl Buffer {
         }
     }
 
-    /// Least inverse depths for all tiles.
+    /// Sets the minimum inverse depths of all tiles.
     pub fn clear_farthest(&mut self, lines: usize, samples: usize, inverse: f64) {
         let across = samples.div_ceil(TILE);
         self.eights = across.div_ceil(EIGHT);
@@ -108,25 +109,25 @@ impl Buffer {
         }
     }
 
-    /// Least inverse depth of a tile.
+    /// Minimum inverse depth of a tile.
     #[inline(always)]
     pub fn farthest_of(&mut self, row: usize, column: usize) -> &mut f64 {
         &mut self.farthest[row * self.eights + column / EIGHT][column % EIGHT]
     }
 
-    /// Least inverse depths of eight tiles side by side.
+    /// Minimum inverse depths of eight neighbouring tiles.
     #[inline(always)]
     pub fn farthest_of_eight(&self, row: usize, eight: usize) -> &[f64; EIGHT] {
         &self.farthest[row * self.eights + eight]
     }
 
-    /// Least inverse depths of a row of tiles.
+    /// Minimum inverse depths of a row of tiles.
     #[inline(always)]
     pub fn farthest_of_row(&self, row: usize) -> &[f64] {
         self.farthest[row * self.eights..(row + 1) * self.eights].as_flattened()
     }
 
-    /// True if a polygon lies behind what the tiles of some lines are known to hold.
+    /// True if a polygon lies behind the content of the tiles on some lines.
     #[inline(always)]
     fn hides(&self, polygon: &PolygonSetup, lines: Range<usize>) -> bool {
         let columns = polygon.first_sample as usize / TILE..(polygon.end_sample as usize).div_ceil(TILE);
@@ -135,7 +136,7 @@ impl Buffer {
             && rows.all(|row| self.farthest_of_row(row)[columns.clone()].iter().all(|&k| k > polygon.nearest_inverse))
     }
 
-    /// The octet that holds a sample, and where in it.
+    /// The octet that holds a sample, and the sample's lane.
     #[inline(always)]
     pub fn place(&self, line: usize, sample: usize) -> (usize, usize) {
         match self.few {
@@ -144,23 +145,20 @@ impl Buffer {
         }
     }
 
-    /// Where an octet of a line is.
+    /// Index of an octet of a line.
     #[inline(always)]
     pub fn at(&self, line: usize, octet: usize) -> usize {
         line * self.per_line + octet * self.per_octet
     }
 }
 
-/// After so many octets drawn for each of a band, what its tiles hold is measured again within a wave.
+/// The tiles of a band are measured again within a wave after this number of octets were drawn per octet of the band.
 const STALE: usize = 2;
 
-/// Samples of a scanner's column up to which octets go across columns.
+/// Maximum number of samples of a scanner's column for octets across columns.
 const FEW: usize = 4;
 
-/// Lines whose intervals are found together.
-const TOGETHER: usize = 8;
-
-/// Draws the polygons of some batches into a band. Returns how many samples were tested, and in how many spans.
+/// Draws the polygons of some batches into a band. Returns the numbers of tested samples and of spans.
 #[inline(always)]
 pub(super) fn rasterize<S: Simd>(
     simd: S,
@@ -195,12 +193,12 @@ pub(super) fn rasterize<S: Simd>(
                 spans_drawn += end.saturating_sub(start);
                 continue;
             }
-            for first in (start..end).step_by(TOGETHER) {
-                let count = TOGETHER.min(end - first);
+            for first in (start..end).step_by(EIGHT) {
+                let count = EIGHT.min(end - first);
                 let [c0, c1] = grid.eight_lines(first);
                 let bounds = bounds_of_lines(polygon.edge_counts(), edges, c0, c1);
-                let mut scale = [0.0; TOGETHER];
-                for l in 0..TOGETHER {
+                let mut scale = [0.0; EIGHT];
+                for l in 0..EIGHT {
                     scale[l] = polygon.m.x * c0[l] + polygon.m.y * c1[l];
                 }
                 let spans = Spans { number, count, bounds, scale, slope: polygon.m.z, first: first - lines.start };
@@ -220,7 +218,7 @@ struct BoundedPolygon<'a> {
     number: u32,
 }
 
-/// Draws a polygon on some lines of few samples; `band` is the first line of the band, which begins with whole octets.
+/// Draws a polygon on some lines of few samples. `band` is the first line of the band, which begins with whole octets.
 #[inline(always)]
 fn draw_across<S: Simd>(
     simd: S,
@@ -235,8 +233,8 @@ fn draw_across<S: Simd>(
     for first in (lines.start / EIGHT * EIGHT..lines.end).step_by(EIGHT) {
         let [c0, c1] = grid.eight_lines(first);
         let mut bounds = bounds_of_lines(polygon.edge_counts(), edges, c0, c1);
-        let mut scale = [0.0; TOGETHER];
-        for l in 0..TOGETHER {
+        let mut scale = [0.0; EIGHT];
+        for l in 0..EIGHT {
             scale[l] = polygon.m.x * c0[l] + polygon.m.y * c1[l];
         }
         if first < lines.start || lines.end < first + EIGHT {
@@ -251,32 +249,32 @@ fn draw_across<S: Simd>(
     }
 }
 
-/// Where the polygon's cone begins and ends on [`TOGETHER`] lines, as positions t.
+/// Positions t where the polygon's cone begins and ends on [`EIGHT`] lines.
 #[inline(always)]
 pub(super) fn bounds_of_lines(
     [lower, upper, steep]: [u8; 3],
     edges: &[[f64; 2]],
-    a: &[f64; TOGETHER],
-    b: &[f64; TOGETHER],
-) -> [[f64; TOGETHER]; 2] {
+    a: &[f64; EIGHT],
+    b: &[f64; EIGHT],
+) -> [[f64; EIGHT]; 2] {
     let (lower, rest) = edges.split_at(usize::from(lower));
     let (upper, rest) = rest.split_at(usize::from(upper));
-    let mut least = [f64::NEG_INFINITY; TOGETHER];
-    let mut greatest = [f64::INFINITY; TOGETHER];
+    let mut least = [f64::NEG_INFINITY; EIGHT];
+    let mut greatest = [f64::INFINITY; EIGHT];
     for e in lower {
-        for l in 0..TOGETHER {
+        for l in 0..EIGHT {
             let t = e[0] * a[l] + e[1] * b[l];
             least[l] = if t > least[l] { t } else { least[l] };
         }
     }
     for e in upper {
-        for l in 0..TOGETHER {
+        for l in 0..EIGHT {
             let t = e[0] * a[l] + e[1] * b[l];
             greatest[l] = if t < greatest[l] { t } else { greatest[l] };
         }
     }
     for e in &rest[..usize::from(steep)] {
-        for l in 0..TOGETHER {
+        for l in 0..EIGHT {
             greatest[l] = if e[0] * a[l] + e[1] * b[l] < 0.0 { f64::NEG_INFINITY } else { greatest[l] };
         }
     }
@@ -294,20 +292,20 @@ fn any_of<S: Simd>(_: S, lanes: S::u64s) -> bool {
 /// A polygon on some lines.
 struct Spans {
     number: u32,
-    /// Lines.
+    /// Number of lines.
     count: usize,
-    /// Where it begins and ends on them.
-    bounds: [[f64; TOGETHER]; 2],
-    /// Its inverse depth is `scale w0 + slope w1`.
-    scale: [f64; TOGETHER],
+    /// Positions where it begins and ends on them.
+    bounds: [[f64; EIGHT]; 2],
+    /// Coefficients of its inverse depth, `scale w0 + slope w1`.
+    scale: [f64; EIGHT],
     slope: f64,
-    /// First line in the band.
+    /// Index of the first line in the band.
     first: usize,
 }
 
 impl Spans {
-    /// Draws into whole octets, whose samples outside the spans stay as they are, and counts them. The answer is true if anywhere
-    /// the buffer held the same depth.
+    /// Draws into whole octets, keeping the samples outside the spans, and counts the octets. Returns true if the
+    /// buffer held a bit-equal depth anywhere.
     #[inline(always)]
     fn draw<S: Simd>(
         &self,
@@ -339,7 +337,8 @@ impl Spans {
                 let winners = S::as_mut_simd_u64s(&mut buffer.winner[at].0).0;
                 let (w0, w1) = (S::as_simd_f64s(&octet.w0).0, S::as_simd_f64s(&octet.w1).0);
                 let t = S::as_simd_f64s(&octet.t).0;
-                // A maximum, for a select before a store becomes a masked store (as that of the winners, written as it may be).
+                // `max`, because a select before a store would become a masked store. The winners are written in the
+                // same manner.
                 for i in 0..EIGHT / S::F64_LANES {
                     let k = simd.add_f64s(simd.mul_f64s(scale, w0[i]), simd.mul_f64s(slope, w1[i]));
                     let inside = simd
@@ -356,7 +355,7 @@ impl Spans {
         any_of(simd, ties)
     }
 
-    /// As [`Spans::draw`], where the buffer's octets go across lines; eight of them are drawn together.
+    /// [`Spans::draw`] for a buffer whose octets go across lines. Eight of them are drawn together.
     #[inline(always)]
     fn draw_across<S: Simd>(&self, simd: S, buffer: &mut Buffer, grid: &LineGrid) -> bool {
         let [least, greatest] = self.bounds.each_ref().map(|t| S::as_simd_f64s(t).0);
@@ -387,7 +386,7 @@ impl Spans {
         any_of(simd, ties)
     }
 
-    /// On bit-equal inverse depth the lower slot wins.
+    /// Gives samples with bit-equal inverse depths to the lower slot.
     #[cold]
     #[inline(never)]
     fn settle_ties(&self, buffer: &mut Buffer, grid: &LineGrid, slots: &[u32]) {

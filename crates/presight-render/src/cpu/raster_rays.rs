@@ -1,5 +1,6 @@
-//! Ray tables (lens distortion, listed rays), eight tiles of 8 x 8 rays at a time: those that a polygon may cover by their cones,
-//! dropping those in which all is nearer, then ray by ray by the edges that the tile's cone does not decide.
+//! Draws ray tables (lens distortion, listed rays), eight tiles of 8 x 8 rays at a time: tiles that a polygon may
+//! cover, found by their cones, without tiles in which all rays have nearer polygons. Within a tile it draws ray by
+//! ray, by the edges that the tile's cone does not decide.
 
 use super::Bands;
 use super::batch::{Batch, NOTHING, PolygonSetup};
@@ -11,10 +12,7 @@ use presight_model::sensor::{Cones, RayGrid, TileRays};
 use pulp::Simd;
 use std::ops::Range;
 
-/// Bands hold whole rows of tiles.
-pub(super) const BAND_MULTIPLE: usize = TILE;
-
-/// Nothing drawn yet. Where there is no ray nothing is drawn, and nothing can be hidden.
+/// Removes all polygons. Lanes without a ray are never drawn, and hide no polygon.
 pub(super) fn clear(buffer: &mut Buffer, grid: &RayGrid, bands: &Bands, band: usize) {
     let lines = bands.lines(band);
     buffer.clear(bands.axis, lines.len(), bands.samples);
@@ -44,7 +42,7 @@ pub(super) fn clear(buffer: &mut Buffer, grid: &RayGrid, bands: &Bands, band: us
 /// A polygon to be drawn.
 struct Polygon<'a> {
     m: DVec3,
-    /// Of m.
+    /// Length of `m`.
     length: f64,
     edges: &'a [DVec3],
     /// Squared lengths of the edges.
@@ -52,16 +50,16 @@ struct Polygon<'a> {
     number: u32,
 }
 
-/// What a polygon is to eight tiles.
+/// Relation of a polygon to eight tiles.
 #[derive(Default)]
 struct TileOverlap {
-    /// Not zero: it may show.
+    /// Not zero if the polygon may be visible.
     shows: [u64; EIGHT],
-    /// A bit for each edge that does not hold all of the tile.
+    /// A bit for each edge that does not have all of the tile inside.
     open: [u64; EIGHT],
 }
 
-/// Draws the polygons of some batches into a band. Returns how many samples were tested, and in how many tiles.
+/// Draws the polygons of some batches into a band. Returns the numbers of tested samples and of tiles.
 #[inline(always)]
 pub(super) fn rasterize<S: Simd>(
     simd: S,
@@ -117,7 +115,7 @@ pub(super) fn rasterize<S: Simd>(
     [octets * EIGHT, tiles].map(|count| count as u64)
 }
 
-/// Copies the edges of which a bit is set; the answer is their number.
+/// Copies the edges whose bit is set, and returns their number.
 #[inline(always)]
 fn take(edges: &[DVec3], mut bits: u64, taken: &mut [DVec3; MAX_CORNERS]) -> usize {
     let mut count = 0;
@@ -129,7 +127,7 @@ fn take(edges: &[DVec3], mut bits: u64, taken: &mut [DVec3; MAX_CORNERS]) -> usi
     count
 }
 
-/// Rows and columns of tiles of a polygon that are among some lines.
+/// Ranges of rows and columns of the polygon's tiles on some lines.
 #[inline(always)]
 fn tiles_of(polygon: &PolygonSetup, lines: &Range<usize>) -> [Range<usize>; 2] {
     let (first, end) = (lines.start.max(polygon.first_line as usize), lines.end.min(polygon.end_line as usize));
@@ -137,19 +135,19 @@ fn tiles_of(polygon: &PolygonSetup, lines: &Range<usize>) -> [Range<usize>; 2] {
     [first / TILE..end.div_ceil(TILE), columns]
 }
 
-/// Where a tile is in a buffer.
+/// Position of a tile in a buffer.
 struct TilePlace {
-    /// Its first line, and how many there are.
+    /// Its first line, and the number of lines.
     first: usize,
     count: usize,
-    /// Of these, those that may be drawn.
+    /// Range of these lines that may be drawn.
     drawn: Range<usize>,
     /// Its column of tiles.
     column: usize,
 }
 
 impl Polygon<'_> {
-    /// What it is to eight tiles, in which all is as near as `farthest`.
+    /// The overlap with eight tiles, in which all rays have polygons at least as near as `farthest`.
     #[inline(always)]
     fn meet<S: Simd>(&self, simd: S, cones: &Cones, farthest: &[f64; EIGHT]) -> TileOverlap {
         let mut meeting = TileOverlap::default();
@@ -179,7 +177,7 @@ impl Polygon<'_> {
         meeting
     }
 
-    /// Draws into a tile what is inside some edges. The answer is true if anywhere the buffer held the same depth.
+    /// Draws the part of a tile inside some edges. Returns true if the buffer held a bit-equal depth anywhere.
     #[inline(always)]
     fn paint<S: Simd>(
         &self,
@@ -198,11 +196,12 @@ impl Polygon<'_> {
             let winners = S::as_mut_simd_u64s(&mut buffer.winner[at].0).0;
             let (x, y) = (S::as_simd_f64s(&rays.x[line]).0, S::as_simd_f64s(&rays.y[line]).0);
             let z = S::as_simd_f64s(&rays.z[line]).0;
-            // A maximum, for a select before a store becomes a masked store (as that of the winners, written as it may be).
+            // `max`, because a select before a store would become a masked store. The winners are written in the same
+            // manner.
             for i in 0..EIGHT / S::F64_LANES {
                 let ray = [x[i], y[i], z[i]];
                 let k = dot(simd, self.m, ray);
-                // False where there is no ray.
+                // False for lanes without a ray.
                 let mut inside = simd.equal_f64s(k, k);
                 for e in edges {
                     inside = simd.and_m64s(inside, simd.greater_than_or_equal_f64s(dot(simd, *e, ray), zero));
@@ -227,7 +226,7 @@ impl Polygon<'_> {
         any(ties)
     }
 
-    /// On bit-equal inverse depth the lower slot wins.
+    /// Gives samples with bit-equal inverse depths to the lower slot.
     #[cold]
     #[inline(never)]
     fn settle_ties(&self, buffer: &mut Buffer, rays: &TileRays, place: &TilePlace, slots: &[u32]) {
@@ -247,7 +246,7 @@ impl Polygon<'_> {
     }
 }
 
-/// Notes the farthest depth of a tile.
+/// Records the farthest depth of a tile.
 #[inline(always)]
 fn measure<S: Simd>(simd: S, buffer: &mut Buffer, place: &TilePlace) {
     let mut farthest = simd.splat_f64s(f64::INFINITY);
@@ -260,7 +259,7 @@ fn measure<S: Simd>(simd: S, buffer: &mut Buffer, place: &TilePlace) {
     *buffer.farthest_of(place.first / TILE, place.column) = simd.reduce_min_f64s(farthest);
 }
 
-/// Products with eight vectors, rounded as glam rounds them.
+/// Dot products with eight vectors, rounded in the same way as by glam.
 #[inline(always)]
 fn dot<S: Simd>(simd: S, a: DVec3, [x, y, z]: [S::f64s; 3]) -> S::f64s {
     let xy = simd.add_f64s(simd.mul_f64s(simd.splat_f64s(a.x), x), simd.mul_f64s(simd.splat_f64s(a.y), y));
@@ -299,8 +298,7 @@ mod tests {
     }
 
     proptest! {
-        /// What a polygon covers, and what is nearer there, decides ray by ray: no tile is passed over and no edge left out
-        /// that would have made a difference.
+        /// Coverage and occlusion, decided ray by ray: every tile and edge left out would have made no difference.
         #[test]
         fn a_tile_is_left_out_only_if_no_ray_of_it_matters(
             axis in direction(),
@@ -316,7 +314,8 @@ mod tests {
             let squares: Vec<f64> = edges.iter().map(|e| e.length_squared()).collect();
             let m = m.0 * m.1;
             let polygon = Polygon { m, length: m.length(), edges: &edges, squares: &squares, number: 1 };
-            let farthest: [f64; EIGHT] = std::array::from_fn(|t| m.dot(grid.tiles()[t].axis) + nearer * m.length() * spread);
+            let depth = |t: usize| m.dot(grid.tiles()[t].axis) + nearer * m.length() * spread;
+            let farthest: [f64; EIGHT] = std::array::from_fn(depth);
             let meeting = pulp::Arch::new().dispatch(OverlapTest(&polygon, &grid.cones_of_row(0)[0], &farthest));
             for (row, column) in (0..7).flat_map(|r| (0..60).map(move |c| (r, c))) {
                 let Some(ray) = sensor.ray(column, row) else { continue };
@@ -326,13 +325,14 @@ mod tests {
                     prop_assert!(!inside || m.dot(ray) < farthest[t], "{} in tile {}", ray, t);
                 }
                 for (k, e) in edges.iter().enumerate() {
-                    prop_assert!(meeting.open[t] >> k & 1 == 1 || e.dot(ray) >= 0.0, "{} and edge {} of tile {}", ray, k, t);
+                    let sound = meeting.open[t] >> k & 1 == 1 || e.dot(ray) >= 0.0;
+                    prop_assert!(sound, "{} and edge {} of tile {}", ray, k, t);
                 }
             }
         }
     }
 
-    /// Keeping everything would pass the test above.
+    /// A filter that keeps every tile would pass the test above.
     #[test]
     fn tiles_beside_and_behind_are_left_out() {
         let ray = |c: u32, r: u32| DVec3::new(1.0, 0.01 * f64::from(c), 0.01 * f64::from(r));

@@ -1,4 +1,4 @@
-//! Bounds of polygons in ray tables: the tiles whose rays each may cover.
+//! Bounds of polygons in ray tables: the tiles with rays that each polygon may cover.
 
 use super::bounds::{Extent, Footprint, LANES, Lanes, NOTHING, SLACK};
 use glam::DVec3;
@@ -25,7 +25,7 @@ fn everything(grid: &RayGrid) -> Footprint {
     Footprint { lines: [0..grid.height(), 0..0], samples: 0..grid.width(), nearest: 0.0 }
 }
 
-/// Of rows and columns of tiles.
+/// The footprint from ranges of rows and columns of tiles.
 #[inline(always)]
 fn of_tiles(
     grid: &RayGrid,
@@ -99,10 +99,11 @@ fn ahead<S: Simd>(
     footprints
 }
 
-/// The cones around the corners of [`LANES`] polygons. One of less than a right angle is convex and holds the polygon.
+/// The cones around the corners of [`LANES`] polygons. A cone of less than a right angle is convex and contains the
+/// polygon.
 struct Caps {
     axis: [Lanes; 3],
-    /// Of the half angle; no number where a corner is at the sensor.
+    /// Cosine of the half angle; NaN if a corner is at the sensor.
     cosine: Lanes,
 }
 
@@ -137,7 +138,7 @@ impl Caps {
             for l in 0..LANES {
                 let dot = axis[0][l] * corner[0][l] + axis[1][l] * corner[1][l] + axis[2][l] * corner[2][l];
                 let own = dot * per_length[l];
-                // What is no number stays so.
+                // Keeps NaN.
                 cosine[l] = if own >= cosine[l] { cosine[l] } else { own };
             }
         }
@@ -159,18 +160,18 @@ fn mapped(map: Option<&DirectionMap>, axis: DVec3, cosine: f64, nearest: f64) ->
     Some(if lines.is_empty() { NOTHING } else { Footprint { lines: [lines, 0..0], samples, nearest } })
 }
 
-/// Most tiles of a footprint whose rays are looked at one by one.
+/// Maximum number of tiles of a footprint whose rays are tested one by one.
 const FEW: usize = 4;
 
-/// A footprint of few tiles with only the lines on which a cone has a ray: most small polygons lie between the rays. Larger ones
-/// stay as they are.
+/// Narrows a footprint of few tiles to the lines on which a cone has a ray: most small polygons lie between rays.
+/// Returns larger footprints unchanged.
 #[inline(always)]
 fn narrowed<S: Simd>(simd: S, grid: &RayGrid, footprint: Footprint, axis: DVec3, cosine: f64) -> Footprint {
     let tiles = |range: &Range<u32>| range.start / TILE_SIDE..range.end.div_ceil(TILE_SIDE);
     let lines = footprint.lines[0].clone();
     let (rows, columns) = (tiles(&lines), tiles(&footprint.samples));
     let few = rows.len() * columns.len() <= FEW;
-    // Written so that what is no number is kept.
+    // Also returns for NaN.
     if !(few && cosine > WIDEST) {
         return footprint;
     }
@@ -203,13 +204,13 @@ fn narrowed<S: Simd>(simd: S, grid: &RayGrid, footprint: Footprint, axis: DVec3,
     Footprint { lines: [held, 0..0], ..footprint }
 }
 
-/// Cosine of the widest cone that is told from everything.
+/// Cosine of the widest cone that bounds a footprint.
 const WIDEST: f64 = 1e-2;
 
-/// More than the roundings of cosines and of products of unit vectors.
+/// More than the rounding of cosines and of products of unit vectors.
 const ROUNDING: f64 = 1e-14;
 
-/// By the cone around each polygon's corners.
+/// Footprints by the cone around each polygon's corners.
 #[inline(always)]
 fn around<S: Simd>(
     simd: S,
@@ -277,7 +278,7 @@ mod tests {
         sensor(Geometry::Camera(Camera { distortion, ..Camera::pinhole(101, 75, f, 1.1 * f, 47.3, 39.1) }))
     }
 
-    /// 101 x 75 rays: right, down and forward of each in a frame of its own.
+    /// 101 x 75 rays, given by right, down and forward in their own frame.
     fn table(frame: [DVec3; 3], wide: f64, holes: u32) -> Sensor {
         let ray = |i: u32| {
             let (x, y) = (wide * (f64::from(i % 101) / 50.0 - 1.0), wide * (f64::from(i / 101) / 50.0 - 0.75));
@@ -328,13 +329,14 @@ mod tests {
             for (r, c) in (0..75).flat_map(|r| (0..101).map(move |c| (r, c))) {
                 let Some(ray) = sensor.ray(c, r) else { continue };
                 if edges.iter().all(|e| e.dot(ray) >= 0.0) {
-                    prop_assert!(found.lines[0].contains(&r) && found.samples.contains(&c), "{},{} in {:?}", c, r, found);
+                    let held = found.lines[0].contains(&r) && found.samples.contains(&c);
+                    prop_assert!(held, "{},{} in {:?}", c, r, found);
                 }
             }
         }
     }
 
-    /// Everything as a footprint would pass the test above.
+    /// Footprints of the whole image would pass the test above.
     #[test]
     fn footprints_are_tight() {
         let plumb_bob = lens(100.0, Distortion::PlumbBob([-0.2, 0.02, 0.0, 0.0, 0.0]));

@@ -1,4 +1,4 @@
-//! Resolve: the asked images from inverse depth and winner, band by band while the z-buffer is still in the cache.
+//! Resolve: the requested images from inverse depth and winner, band by band while the z-buffer is still in the cache.
 
 use super::Bands;
 use super::batch::{NOTHING, Shade};
@@ -7,8 +7,8 @@ use crate::plan::{FramePlan, Images};
 use presight_model::sensor::{LineAxis, LineGrid, PixelGrid, RayGrid};
 use std::ops::Range;
 
-/// The parts of the images that one band fills: for every image row it touches, its pixels. Images that were not asked
-/// for have no rows.
+/// The parts of the images that one band fills: the pixels of each image row. Images that were not requested have no
+/// rows.
 #[derive(Default)]
 pub(super) struct Target<'a> {
     range: Vec<&'a mut [f32]>,
@@ -50,12 +50,12 @@ pub(super) fn split<'a>(images: &'a mut Images, bands: &Bands) -> Vec<Target<'a>
     targets
 }
 
-/// Pixels of a row taken together, which for scanners are as many lines: two cache lines of an image. Every row of a
-/// scanner's image is a page of its own, and each visit to it may miss in the address translation.
+/// Number of pixels of a row processed together, for scanners also the number of lines: two cache lines of an image.
+/// Every row of a scanner's image has its own memory page, and each visit to it may miss in the address translation.
 pub(super) const TOGETHER: usize = 32;
 
-/// Fills the asked images of a band, as far as it is complete, metres. Returns how many samples are left open and, with a deadline, how
-/// many a polygon was drawn to.
+/// Fills the requested images of a band, which is complete to a distance in metres. Returns the number of samples left
+/// open and, with a deadline, the number of samples with a polygon.
 #[inline(always)]
 pub(super) fn resolve(
     target: &mut Target<'_>,
@@ -67,9 +67,9 @@ pub(super) fn resolve(
     complete_to: f32,
 ) -> (u64, u64) {
     let spec = plan.sensor.spec();
-    let (range_min, range_max, least_inverse) = (spec.range_min, spec.range_max, least_inverse(complete_to.into()));
+    let (range_min, range_max, min_inverse) = (spec.range_min, spec.range_max, min_inverse(complete_to.into()));
     let counts = plan.limit.is_some();
-    let mut painter = Painter { shades, range_min, range_max, least_inverse, given_up: 0, counts, written: 0, target };
+    let mut painter = Painter { shades, range_min, range_max, min_inverse, given_up: 0, counts, written: 0, target };
     let lines = bands.lines(band);
     match (bands.axis, plan.sensor.grid()) {
         (LineAxis::Columns, _) => columns(&mut painter, buffer, lines.len(), bands.samples),
@@ -83,8 +83,8 @@ pub(super) fn resolve(
     (painter.given_up, painter.written)
 }
 
-/// The least x with `1 / x <= range`, so that samples are compared without a division each; 0 for an infinite range.
-fn least_inverse(range: f64) -> f64 {
+/// The minimum x with `1 / x <= range`, so that samples are compared without a division each; 0 for an infinite range.
+fn min_inverse(range: f64) -> f64 {
     if range == f64::INFINITY {
         return 0.0;
     }
@@ -98,7 +98,7 @@ fn least_inverse(range: f64) -> f64 {
     least
 }
 
-/// A scanner's lines are the columns of its image: turned octet by octet, in which the buffer is ordered.
+/// Fills the images of scanners, whose lines are image columns: transposes the buffer octet by octet, in its order.
 #[inline(always)]
 fn columns(painter: &mut Painter<'_, '_>, buffer: &Buffer, lines: usize, samples: usize) {
     let mut pixels = [const { Pixels::unit() }; EIGHT];
@@ -147,7 +147,7 @@ fn columns(painter: &mut Painter<'_, '_>, buffer: &Buffer, lines: usize, samples
     }
 }
 
-/// Lines that are rows of the image.
+/// Fills images whose rows are the lines.
 #[inline(always)]
 fn rows(
     painter: &mut Painter<'_, '_>,
@@ -177,7 +177,7 @@ fn rows(
     }
 }
 
-/// Some pixels of a row before they are images.
+/// Input for some pixels of a row.
 struct Pixels {
     inverse: [f64; TOGETHER],
     winner: [u32; TOGETHER],
@@ -187,7 +187,7 @@ struct Pixels {
 }
 
 impl Pixels {
-    /// Rays of length one whose z nobody asks for.
+    /// Rays of length 1 for images without z.
     const fn unit() -> Self {
         Self { inverse: [0.0; TOGETHER], winner: [0; TOGETHER], per_length: [1.0; TOGETHER], z: [1.0; TOGETHER] }
     }
@@ -219,27 +219,27 @@ impl Pixels {
     }
 }
 
-/// Makes images of pixels.
+/// Fills images from pixels.
 struct Painter<'t, 'a> {
     /// By winner.
     shades: &'t [Shade],
     range_min: f64,
     range_max: f64,
-    /// Of samples that are final: 0 where all is drawn.
-    least_inverse: f64,
+    /// Minimum inverse depth of final samples; 0 if all polygons were drawn.
+    min_inverse: f64,
     given_up: u64,
-    /// Whether samples with a polygon are counted, and how many there are.
+    /// True if samples with a polygon are counted, and their number.
     counts: bool,
     written: u64,
     target: &'t mut Target<'a>,
 }
 
 impl Painter<'_, '_> {
-    /// Pixels into a part of a row. Everything is made here for a whole part and then stored: loops of fixed length become vectors,
-    /// and no load waits for a store to another image, whose rows may be whole pages apart.
+    /// Fills a part of a row. It computes all values of the part before it stores them: loops of fixed length become
+    /// vectors, and no load waits for a store to another image, whose rows may be whole pages apart.
     #[inline(always)]
     fn paint(&mut self, pixels: &Pixels, row: usize, part: Range<usize>) {
-        // Mostly all of them show one polygon.
+        // Usually they all show one polygon.
         let first = pixels.winner[0];
         let alike = pixels.winner.iter().fold(true, |alike, winner| alike & (*winner == first));
         if self.counts {
@@ -251,7 +251,7 @@ impl Painter<'_, '_> {
         for i in 0..TOGETHER {
             inverse[i] = pixels.inverse[i] * pixels.per_length[i];
         }
-        if self.least_inverse > 0.0 && self.leave_all_open(&inverse[..part.len()], row, part.clone()) {
+        if self.min_inverse > 0.0 && self.leave_all_open(&inverse[..part.len()], row, part.clone()) {
             return;
         }
         let mut distance = [0.0; TOGETHER];
@@ -272,7 +272,7 @@ impl Painter<'_, '_> {
             exact[i] = 1.0 / inverse[i];
             range[i] = metres(exact[i], exact[i], self.range_min, self.range_max);
         }
-        // Ids and angle are kept below range_min; nothing is seen at infinity or without a ray.
+        // Ids and angle are kept below range_min. At infinity and without a ray there is no polygon.
         if self.target.cos_incidence.get(row).is_some() {
             let mut shown = [0.0; TOGETHER];
             for i in 0..TOGETHER {
@@ -297,17 +297,17 @@ impl Painter<'_, '_> {
         store(&mut self.target.range, row, &part, &range);
         store(&mut self.target.polygon_id, row, &part, &polygon_id);
         store(&mut self.target.object_id, row, &part, &object_id);
-        if self.least_inverse > 0.0 {
+        if self.min_inverse > 0.0 {
             self.give_up(&inverse[..part.len()], row, part);
         }
     }
 
-    /// Leaves all samples open, if something not drawn may hide every one of them. True if so.
+    /// Leaves all samples open if polygons left out may hide every one of them. Returns true in that case.
     #[cold]
     #[inline(never)]
     fn leave_all_open(&mut self, inverse: &[f64], row: usize, part: Range<usize>) -> bool {
-        // Where there is no ray the inverse is NaN, and images show the same.
-        if inverse.iter().fold(false, |any, inverse| any | (*inverse >= self.least_inverse)) {
+        // Lanes without a ray have inverse NaN, and images have NaN there in both cases.
+        if inverse.iter().fold(false, |any, inverse| any | (*inverse >= self.min_inverse)) {
             return false;
         }
         self.given_up += inverse.iter().filter(|inverse| !inverse.is_nan()).count() as u64;
@@ -321,14 +321,14 @@ impl Painter<'_, '_> {
         true
     }
 
-    /// Leaves samples open that something not drawn may hide: whatever is farther than all that is drawn, and where nothing is.
+    /// Leaves samples open that polygons left out may hide: farther than the complete distance, or without a polygon.
     #[cold]
     #[inline(never)]
     fn give_up(&mut self, inverse: &[f64], row: usize, part: Range<usize>) {
         let mut open = [false; TOGETHER];
         for (open, inverse) in open.iter_mut().zip(inverse) {
-            // Where there is no ray the inverse is NaN.
-            *open = *inverse < self.least_inverse;
+            // Lanes without a ray have inverse NaN.
+            *open = *inverse < self.min_inverse;
         }
         let open = &open[..inverse.len()];
         let count = open.iter().filter(|open| **open).count();
@@ -348,7 +348,7 @@ impl Painter<'_, '_> {
     }
 }
 
-/// Stores a part of a row, if the image is asked for.
+/// Stores a part of a row, if the image is requested.
 #[inline(always)]
 fn store<T: Copy>(image: &mut [&mut [T]], row: usize, part: &Range<usize>, values: &[T; TOGETHER]) {
     let Some(row) = image.get_mut(row) else { return };
@@ -359,11 +359,11 @@ fn store<T: Copy>(image: &mut [&mut [T]], row: usize, part: &Range<usize>, value
     }
 }
 
-/// A distance as images show it, by the range it belongs to: misses are at infinite range, missing rays at NaN.
+/// A distance as stored in images, by the range of its ray: infinity for misses, NaN for missing rays.
 #[inline(always)]
 fn metres(value: f64, range: f64, range_min: f64, range_max: f64) -> f32 {
     let shown = if range < range_min { f32::NEG_INFINITY } else { value as f32 };
-    // A miss too: its value is infinity times the z of the ray, which a lens may have at or behind the image plane.
+    // For a miss the value is infinity times the z of the ray, which is 0 or negative for some lenses.
     let shown = if range > range_max || range == f64::INFINITY { f32::INFINITY } else { shown };
     if range.is_nan() { f32::NAN } else { shown }
 }
@@ -375,18 +375,18 @@ mod tests {
 
     #[test]
     fn everything_is_final_where_all_is_drawn_and_nothing_where_nothing_is() {
-        assert_eq!(least_inverse(f64::INFINITY), 0.0);
-        assert_eq!(least_inverse(0.0), f64::INFINITY);
-        assert_eq!(least_inverse(4.0), 0.25f64);
+        assert_eq!(min_inverse(f64::INFINITY), 0.0);
+        assert_eq!(min_inverse(0.0), f64::INFINITY);
+        assert_eq!(min_inverse(4.0), 0.25f64);
     }
 
     proptest! {
-        /// Beside the least inverse, where a bound that is off by one rounding would be found out.
+        /// Ranges around the minimum inverse, where an error of one rounding in the bound would show.
         #[test]
         fn inverses_are_compared_as_ranges_are(range in 1e-6..1e6f32, off in -4i64..=4) {
             let range = f64::from(range);
             let inverse = f64::from_bits((1.0 / range).to_bits().wrapping_add_signed(off));
-            prop_assert_eq!(inverse >= least_inverse(range), 1.0 / inverse <= range);
+            prop_assert_eq!(inverse >= min_inverse(range), 1.0 / inverse <= range);
         }
     }
 }

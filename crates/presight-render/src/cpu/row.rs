@@ -1,5 +1,6 @@
-//! Rows of level scanners: a search in the plane finds which polygon each beam meets ([`crate::row`]), and images are made of
-//! its plane by the arithmetic of setup and rasterization. Where rounding could decide, the candidates are drawn as usual.
+//! Rows of level scanners. A search in the plane finds the polygon of each beam ([`crate::row`]), and its plane gives
+//! the images by the arithmetic of setup and rasterization. Where rounding could decide, the candidates are drawn as
+//! usual.
 
 use super::batch::{Batch, Shade, Winners};
 use super::bounds::LANES;
@@ -29,9 +30,9 @@ pub(super) struct RowDrawer {
     planes: Vec<DVec3>,
     /// By segment of the cut: its number among the winners, or 0.
     numbers: Vec<u32>,
-    /// Winners by object and polygon, with their segments.
+    /// Winners by object and polygon, with their segment.
     seen: Vec<(u64, u32)>,
-    /// Candidates, each an object and a polygon, and their setup.
+    /// Candidates, as pairs of object and polygon, and their setup.
     polygons: Vec<(u32, u32)>,
     batch: Batch,
     buffer: Buffer,
@@ -83,7 +84,7 @@ impl RowDrawer {
         Ok(())
     }
 
-    /// Numbers the winners, and works out their planes as setup does.
+    /// Numbers the winners, and computes their planes as setup does.
     #[inline(always)]
     fn set_up(&mut self, plan: &FramePlan, cut: &RowCut) {
         let Self { search, winners, planes, numbers, seen, .. } = self;
@@ -124,7 +125,7 @@ impl RowDrawer {
         }
     }
 
-    /// Draws the candidates, as all polygons of other predictions are drawn.
+    /// Draws the candidates, as other predictions draw all polygons.
     #[inline(always)]
     fn decide<S: Simd>(&mut self, simd: S, plan: &FramePlan, cut: &RowCut, grid: &LineGrid, bands: &Bands) {
         let Self { search, lanes, winners, polygons, batch, buffer, .. } = self;
@@ -140,7 +141,7 @@ impl RowDrawer {
         raster_lines::rasterize(simd, buffer, grid, std::slice::from_ref(batch), &winners.slots, bands, 0);
     }
 
-    /// Fills the z-buffer where beams are sure, as the rasterizer does.
+    /// Fills the z-buffer for decided beams, as the rasterizer does.
     #[inline(always)]
     fn fill(&mut self, grid: &LineGrid) {
         let Self { search, planes, numbers, buffer, .. } = self;
@@ -157,18 +158,18 @@ impl RowDrawer {
     }
 }
 
-/// Where the rays of a frame are.
+/// The frame of the rays.
 struct Frame {
     image_from_world: DMat3,
     ray_from_image: DMat3,
     place: DVec3,
 }
 
-/// An object in the frame of the rays: as `Instance` and `RayInstance` place it, as far as planes need it.
+/// An object in the frame of the rays: the data for planes of `Instance` and `RayInstance`.
 struct Placed {
     m_from_normal: DMat3,
     normal_from_mesh: DMat3,
-    /// Metres for each metre of a plane's distance in the mesh's frame, if that is the same for all planes.
+    /// Metres per metre of a plane's distance in the mesh frame, if it is the same for all planes.
     uniform: Option<f64>,
     center: DVec3,
 }
@@ -199,8 +200,8 @@ impl Frame {
 }
 
 impl Placed {
-    /// The vector m of a polygon's plane, and its distance, metres: in the order of operations of `PolygonLanes::measure` and
-    /// `PolygonLanes::set_up`.
+    /// The vector m of a polygon's plane and its distance, metres, in the order of operations of
+    /// `PolygonLanes::measure` and `PolygonLanes::set_up_planes`.
     #[inline(always)]
     fn plane(&self, normal: DVec3, corners: &[Vec3]) -> (DVec3, f64) {
         let DVec3 { x, y, z } = normal;
@@ -226,7 +227,7 @@ impl Placed {
         (m, distance.abs() * scale)
     }
 
-    /// True if no two corners are equally near: then planes of coincident faces are measured at the same one.
+    /// True if a single corner is nearest: planes of coincident faces are then measured at the same corner.
     fn has_one_nearest(&self, corners: &[Vec3]) -> bool {
         let squares = || corners.iter().map(|p| (p.as_dvec3() - self.center).length_squared());
         let least = squares().fold(f64::INFINITY, f64::min);
@@ -234,7 +235,7 @@ impl Placed {
     }
 }
 
-/// Makes the images after a search.
+/// Fills the images after a search.
 struct DrawRow<'a, 't> {
     row: &'a mut RowDrawer,
     plan: &'a FramePlan,

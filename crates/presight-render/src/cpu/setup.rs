@@ -1,11 +1,12 @@
-//! Setup: from runs of mesh polygons to planes and edges in the frame of the rays, dropping early what covers none.
+//! Setup: from runs of mesh polygons to planes and edges in the frame of the rays. Polygons that cover no ray are
+//! dropped early.
 
 use super::Bands;
 use super::batch::{Batch, PolygonSetup, Shade};
 use super::bounds::{Bounds, Footprint, LANES};
 use super::cull;
 use super::lanes::PolygonLanes;
-use super::sieve::{Sieve, is_told};
+use super::sieve::{Sieve, is_bounded};
 use crate::plan::{FramePlan, Instance, Run};
 use glam::{DMat3, DVec3};
 use presight_model::environment::Mesh;
@@ -18,16 +19,16 @@ use std::ops::Range;
 pub(super) struct RayInstance<'a> {
     pub mesh: &'a Mesh,
     pub ray_from_mesh: DMat3,
-    /// Turns a mesh normal over its plane distance into m.
+    /// Maps a mesh normal divided by its plane's distance to m.
     pub m_from_normal: DMat3,
     normal_from_mesh: DMat3,
-    /// What [`RayInstance::length_per_distance`] is for every normal, if it is.
+    /// The value of [`RayInstance::length_per_distance`] for every normal, if there is one.
     uniform: Option<f64>,
     pub center: DVec3,
-    /// No vector of the mesh is longer in the frame of the rays by more.
+    /// Upper bound of the factor by which vectors grow from the mesh to the frame of the rays.
     pub stretch: f64,
     pub mirrored: bool,
-    /// No polygon needs a look at its material.
+    /// True if no polygon requires a check of its material.
     pub plain: bool,
     pub object: u32,
     pub first_slot: u32,
@@ -56,7 +57,7 @@ impl<'a> RayInstance<'a> {
         }
     }
 
-    /// Ids and distance of a polygon whose plane is at this distance in the frame of the mesh.
+    /// Ids and distance of a polygon with this plane distance in the mesh frame.
     #[inline(always)]
     pub fn shade(&self, plan: &FramePlan, polygon: u32, distance: f64) -> Shade {
         let normal = self.mesh.planes()[polygon as usize].normal;
@@ -67,7 +68,7 @@ impl<'a> RayInstance<'a> {
         }
     }
 
-    /// True metres per metre of a plane's distance in the mesh frame.
+    /// Metres per metre of a plane's distance in the mesh frame.
     #[inline(always)]
     fn length_per_distance(&self, normal: DVec3) -> f64 {
         match self.uniform {
@@ -77,7 +78,7 @@ impl<'a> RayInstance<'a> {
     }
 }
 
-/// The length of every turned unit vector, if it is the same for all to rounding: most instances are at most scaled.
+/// The length of transformed unit vectors, if it is the same for all up to rounding: most instances are at most scaled.
 pub(super) fn uniform_scale(m: &DMat3) -> Option<f64> {
     let squares = [m.x_axis, m.y_axis, m.z_axis].map(|c| c.length_squared());
     let skew = [m.x_axis.dot(m.y_axis), m.y_axis.dot(m.z_axis), m.z_axis.dot(m.x_axis)];
@@ -86,7 +87,7 @@ pub(super) fn uniform_scale(m: &DMat3) -> Option<f64> {
     (alike && skew.iter().all(|s| s.abs() <= rounding)).then(|| squares[0].sqrt())
 }
 
-/// Sets up the polygons of some runs, but for those behind what is drawn.
+/// Sets up the polygons of some runs, without those behind polygons drawn before.
 #[inline(always)]
 pub(super) fn fill<S: Simd>(simd: S, batch: &mut Batch, plan: &FramePlan, runs: &[Run], bands: &Bands) {
     batch.clear();
@@ -111,8 +112,8 @@ pub(super) fn fill<S: Simd>(simd: S, batch: &mut Batch, plan: &FramePlan, runs: 
         batch.passed += passed.len();
         for (polygons, reaches) in passed.chunks(LANES).zip(reaches.chunks(LANES)) {
             lanes.load(at, polygons, cluster);
-            let footprints = if reaches.iter().all(is_told) {
-                bounds.told(lanes.corners(), reaches)
+            let footprints = if reaches.iter().all(is_bounded) {
+                bounds.cover_reached(lanes.corners(), reaches)
             } else {
                 batch.bounded += polygons.len();
                 bounds.cover(simd, lanes.corners())
@@ -123,7 +124,7 @@ pub(super) fn fill<S: Simd>(simd: S, batch: &mut Batch, plan: &FramePlan, runs: 
     batch.bin(bands);
 }
 
-/// Sets up single polygons, each an object and a polygon of its mesh, sorted.
+/// Sets up single polygons, given as sorted pairs of an object and a polygon of its mesh.
 #[inline(always)]
 pub(super) fn fill_polygons<S: Simd>(
     simd: S,
@@ -150,7 +151,7 @@ pub(super) fn fill_polygons<S: Simd>(
     batch.bin(bands);
 }
 
-/// Sets up polygons that are loaded, unless nothing is seen of them.
+/// Sets up the loaded polygons that may be visible.
 #[inline(always)]
 fn set_up_loaded(
     batch: &mut Batch,
@@ -185,7 +186,7 @@ fn set_up_loaded(
     }
 }
 
-/// Of the lanes with a footprint, a bit each, those of polygons that may show.
+/// The lanes with a footprint whose polygon may be visible, a bit each.
 #[inline(always)]
 fn visible_lanes(
     batch: &mut Batch,
@@ -214,7 +215,7 @@ fn visible_lanes(
     visible
 }
 
-/// Room for one polygon's bounds, lower and upper ones.
+/// Room for one polygon's lower and upper bounds.
 pub(super) struct Room([[[f64; 2]; limits::MAX_CORNERS]; 2]);
 
 impl Default for Room {
@@ -223,7 +224,7 @@ impl Default for Room {
     }
 }
 
-/// Adds a polygon, of which the lane is given, to the batch, unless it covers no sample.
+/// Adds the polygon of a lane to the batch, unless it covers no sample.
 #[inline(always)]
 fn push(
     batch: &mut Batch,
@@ -254,7 +255,7 @@ fn push(
     };
     let shade = at.shade(plan, polygon, lanes.distance[i]);
     let m = DVec3::new(lanes.m[0][i], lanes.m[1][i], lanes.m[2][i]);
-    // Rounding may draw others nearer than they are.
+    // Otherwise rounding may draw the polygon nearer than it is.
     let nearest_inverse = if lanes.clear[i] { cull::nearest_inverse(footprint) } else { f64::INFINITY };
     let slot = at.first_slot + polygon;
     let Range { start: first_sample, end: end_sample } = footprint.samples;
@@ -277,7 +278,7 @@ fn push(
     }
 }
 
-/// Appends the edges as bounds of t on a line: lower ones, upper ones, then those that only have a sign.
+/// Appends the edges as bounds of t on a line: lower bounds, upper bounds, then sign tests.
 #[inline(always)]
 pub(super) fn push_bounds<const N: usize>(
     bounds: &mut Vec<[f64; 2]>,
@@ -287,7 +288,7 @@ pub(super) fn push_bounds<const N: usize>(
 ) -> [u8; 3] {
     let n = lanes.corner_counts[i] as usize;
     let edges = || lanes.edges[..n].iter().map(|e| DVec3::new(e[0][i], e[1][i], e[2][i]));
-    // Without a branch on the sign, which no processor can foresee: each bound is written to both lists, and counted in one.
+    // Avoids a branch on the unpredictable sign: writes each bound to both lists and counts it in one.
     let (mut lower, mut upper, mut steep) = (0, 0, 0);
     let is_steep = |e: DVec3| e.z.abs() <= 1e-30 * (e.x.abs() + e.y.abs());
     let [lowers, uppers] = &mut room.0;
@@ -307,7 +308,8 @@ pub(super) fn push_bounds<const N: usize>(
     [lower as u8, upper as u8, steep as u8]
 }
 
-/// Appends the first of some bounds. Few are copied as four, whose number the compiler knows: a copy of any number is a call.
+/// Appends the first of some bounds. Up to four are copied as four, a number that the compiler knows: other copies are
+/// calls.
 #[inline(always)]
 fn append(bounds: &mut Vec<[f64; 2]>, room: &[[f64; 2]; limits::MAX_CORNERS], count: usize) {
     let end = bounds.len() + count;
@@ -318,11 +320,11 @@ fn append(bounds: &mut Vec<[f64; 2]>, room: &[[f64; 2]; limits::MAX_CORNERS], co
     bounds.truncate(end);
 }
 
-/// Samples of a footprint up to which they are tested at once.
+/// Maximum number of samples of a footprint for a test of each sample.
 const FEW: usize = 6;
 
-/// True if a small polygon lies between the samples. Those of its footprint are tested as spans are drawn, with one more at
-/// either side of each line for rounding.
+/// True if a small polygon lies between the samples. The samples of its footprint, with one more at either end of each
+/// line for rounding, are tested as spans are drawn.
 #[inline(always)]
 fn covers_nothing(grid: &LineGrid, footprint: &Footprint, bounds: &[[f64; 2]], [lower, upper, steep]: [u8; 3]) -> bool {
     let (samples, [lines, more]) = (&footprint.samples, &footprint.lines);

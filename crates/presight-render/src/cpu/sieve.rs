@@ -1,54 +1,52 @@
-//! The first look at the polygons of a cluster: each vertex is placed among lines and samples once, and polygons whose corners all lie between
-//! the same two lines, or samples, end here. Most small polygons do, at a fraction of what it costs to bound them one by one.
+//! The first test of the polygons of a cluster. Each vertex is located among lines and samples once, and polygons whose
+//! corners all lie between the same two lines, or samples, are rejected. That rejects most small polygons at a fraction
+//! of the cost of bounding each.
 
 use super::bounds::{AZIMUTH_SLACK, LANES, Lanes, SLACK, atan2_approximately};
 use super::lanes::CLEAR;
 use super::setup::RayInstance;
 use crate::plan::Run;
 use glam::DVec3;
-use presight_model::environment::Positions;
+use presight_model::environment::{MAX_VERTICES, Positions};
 use presight_model::sensor::{FitCell, Geometry, LineGrid, PixelGrid, RayGrid, Sensor, on_side};
 use pulp::Simd;
 use std::f64::consts::TAU;
 
-/// Most vertices of a cluster.
-const MOST: usize = 256;
-
-/// The first line and sample at or behind a vertex, and the last ones up to it, negative, all a little too far out: so the least ones of its
-/// corners are a polygon's. Whole numbers below 2^24.
+/// For a vertex the first line and the first sample at or behind it, then the last ones before it, negated, each with a
+/// small margin: the reach of a polygon is the minimum over its corners. Whole numbers below 2^24.
 pub(super) type Reach = [f32; 4];
 
-/// The reach of what may be anywhere.
+/// The reach of a polygon that may be anywhere.
 const ANYWHERE: f32 = -1e6;
 
-/// Polygons of a run up to which they are bounded one by one: a cluster has more vertices than these.
+/// Runs of up to this number of polygons are bounded one by one, because a cluster has more vertices.
 const FEW: u32 = 12;
 
-/// True if lines and samples are told.
+/// True if lines and samples are bounded.
 #[inline(always)]
-pub(super) fn is_told(reach: &Reach) -> bool {
+pub(super) fn is_bounded(reach: &Reach) -> bool {
     (reach[0] >= 0.0) & (reach[1] >= 0.0)
 }
 
-/// Greatest tangent of the azimuth between the middle of a cluster and its vertices.
+/// Maximum tangent of the azimuth between the middle of a cluster and its vertices.
 const NARROW: f64 = 0.5;
 
-/// Looks at clusters for one sensor.
+/// Tests clusters for one sensor.
 pub(super) struct Sieve<'a> {
     kind: Option<Kind<'a>>,
-    reaches: [Reach; MOST],
+    reaches: [Reach; MAX_VERTICES],
 }
 
 #[derive(Clone, Copy)]
 enum Kind<'a> {
     Camera(&'a LineGrid),
-    /// With the radians of column 0 and from column to column.
+    /// With the azimuth of column 0 and the step from column to column, radians.
     Scanner(&'a LineGrid, [f64; 2]),
     Rays(&'a RayGrid),
 }
 
 impl<'a> Sieve<'a> {
-    /// Listed azimuths have no sieve: everything passes.
+    /// Listed azimuths have no sieve: it passes all polygons.
     pub fn new(sensor: &'a Sensor) -> Self {
         let kind = match (sensor.grid(), &sensor.spec().geometry) {
             (PixelGrid::Lines(grid), Geometry::Scanner(_)) => {
@@ -57,11 +55,11 @@ impl<'a> Sieve<'a> {
             (PixelGrid::Lines(grid), _) => Some(Kind::Camera(grid)),
             (PixelGrid::Rays(grid), _) => Some(Kind::Rays(grid)),
         };
-        Self { kind, reaches: [[ANYWHERE; 4]; MOST] }
+        Self { kind, reaches: [[ANYWHERE; 4]; MAX_VERTICES] }
     }
 
-    /// Names the polygons of a run that may cover a sample, in their order, with their reach. Nothing is told of what rounding may draw
-    /// elsewhere than it is. The answer are the positions of its cluster, if they were looked at.
+    /// Collects the polygons of a run that may cover a sample, in their order, with their reach. Polygons that rounding
+    /// may draw elsewhere get an unbounded reach. Returns the positions of the cluster if it was tested.
     #[inline(always)]
     pub fn pass<'m, S: Simd>(
         &mut self,
@@ -75,7 +73,7 @@ impl<'a> Sieve<'a> {
             polygons.for_each(|polygon| passes(polygon, [ANYWHERE; 4]));
             return None;
         };
-        // Of planes and offsets, far more than their rounding.
+        // A margin for planes and offsets, far above their rounding.
         let clear = 2.0 * CLEAR * far;
         let by_cluster = at.mesh.cluster_vertices();
         let own = run.first as usize..(run.first + run.count) as usize;
@@ -99,8 +97,8 @@ impl<'a> Sieve<'a> {
         Some(positions)
     }
 
-    /// Places the vertices of a run's cluster. The answer is how far off they are at most, in the mesh's frame, and what they are; `None` if
-    /// nothing can be told of it, or it is not worth its while.
+    /// Locates the vertices of a run's cluster. Returns their maximum distance from the sensor, in the mesh frame, and
+    /// the positions; `None` if the cluster has no bounds or the test would cost more than it saves.
     #[inline(always)]
     fn place<'m, S: Simd>(
         &mut self,
@@ -164,7 +162,7 @@ fn placed(at: &RayInstance<'_>, eight: &Positions) -> [Lanes; 3] {
     placed
 }
 
-/// The first whole number from `low` on, and the last one up to `high`, negative; of 0..n, or just outside.
+/// The first whole number from `low` on, and the last one up to `high`, negated; in 0..n or just outside.
 #[inline(always)]
 fn between(low: f64, high: f64, n: f64) -> [f32; 2] {
     let first = low.ceil();
@@ -176,7 +174,7 @@ fn between(low: f64, high: f64, n: f64) -> [f32; 2] {
     [first as f32, -last as f32]
 }
 
-/// Places vertices of a camera's line frame, (fy y, z, fx x).
+/// Locates vertices in a camera's line frame, (fy y, z, fx x).
 #[inline(always)]
 fn ahead(grid: &LineGrid, [y, z, x]: &[Lanes; 3], reaches: &mut [Reach]) {
     let (lines, samples) = (grid.lines(), grid.positions());
@@ -193,9 +191,9 @@ fn ahead(grid: &LineGrid, [y, z, x]: &[Lanes; 3], reaches: &mut [Reach]) {
         let of_line = place(line, first_line, slack[0], line_count);
         let of_sample = place(sample, first_sample, slack[1], sample_count);
         let known = z[l] > 1e-12 * (x[l].abs() + y[l].abs());
-        let told = [of_line[0], of_sample[0], of_line[1], of_sample[1]];
+        let reach = [of_line[0], of_sample[0], of_line[1], of_sample[1]];
         for k in 0..4 {
-            all[k][l] = if known { told[k] } else { ANYWHERE };
+            all[k][l] = if known { reach[k] } else { ANYWHERE };
         }
     }
     store(&all, reaches);
@@ -208,14 +206,14 @@ fn store(all: &[[f32; LANES]; 4], reaches: &mut [Reach]) {
     }
 }
 
-/// A cluster beside a scanner's axis: all of it on one side of a plane through the axis.
+/// A cluster on one side of a plane through a scanner's axis.
 struct Around {
-    /// From the axis to its middle, any length.
+    /// Direction from the axis to its middle, of any length.
     towards: [f64; 2],
-    /// Greatest tangent of the azimuth from there.
+    /// Maximum tangent of the azimuth between this direction and a vertex.
     widest: f64,
-    /// What elevation may rise by between two of its vertices: by a plane through the sensor their positions t are those of a cosine
-    /// over azimuth.
+    /// Maximum rise of elevation between two of its vertices: on a plane through the sensor the positions t are a
+    /// cosine of the azimuth.
     rise: f64,
 }
 
@@ -240,7 +238,7 @@ impl Around {
         sound.then(|| Self { towards, widest, rise: (1.0 + widest * widest).sqrt() * (1.0 + SLACK) })
     }
 
-    /// Places vertices of the line frame, (x, y, -z).
+    /// Locates vertices of the line frame, (x, y, -z).
     #[inline(always)]
     fn place<S: Simd>(
         &self,
@@ -263,7 +261,7 @@ impl Around {
         let n = t.len() as u32;
         let mut all = [[ANYWHERE; LANES]; 4];
         for l in 0..LANES {
-            // One more at either side is possible.
+            // One line more at either side is possible.
             let first = first[l] + u32::from(first[l] < n && t[first[l].min(n - 1) as usize] < low[l]);
             let end = end[l] - u32::from(end[l] > 0 && t[end[l].max(1) as usize - 1] > high[l]);
             (all[1][l], all[3][l]) = (first as f32, 1.0 - end as f32);
@@ -280,9 +278,9 @@ impl Around {
     }
 }
 
-/// The columns of a cluster that lies wholly before or behind the seam.
+/// The columns of a cluster entirely before or behind the seam.
 struct Columns {
-    /// Of the cluster's middle.
+    /// Column of the cluster's middle.
     middle: f64,
     per_radian: f64,
     slack: f64,
@@ -298,24 +296,24 @@ impl Columns {
         let slack = AZIMUTH_SLACK * per_radian.abs();
         let reach = around.widest * per_radian.abs() + slack + 1.0;
         let count = count as f64;
-        // Columns before the first one are as well behind the last one.
+        // Columns before the first one are also behind the last one.
         let over = middle - reach < 0.0 && middle - reach + turn < count;
         let again = middle + reach > turn;
         (!over && !again).then_some(Self { middle, per_radian, slack, count })
     }
 }
 
-/// Directions about a cluster in a ray table.
+/// Directions around a cluster in a ray table.
 struct Fit<'a> {
     cell: &'a FitCell,
     side: usize,
-    /// What may be between a place and where its polygon has rays, pixels.
+    /// Maximum distance between a computed position and a ray of its polygon, pixels.
     wide: [f64; 2],
     count: [f64; 2],
 }
 
 impl<'a> Fit<'a> {
-    /// For polygons of so many metres; `None` if nothing is known of the cell.
+    /// For polygons of this size in metres; `None` if the cell has no approximation.
     #[inline(always)]
     fn new(
         grid: &RayGrid,
@@ -337,7 +335,8 @@ impl<'a> Fit<'a> {
         if !(nearest > 0.0) {
             return None;
         }
-        // On the side of the cube, out to 1.2 from its middle, a metre across is at most twice a metre over the distance.
+        // On the side of the cube, out to 1.2 from its middle, a metre across is at most twice a metre over the
+        // distance.
         let apart = 2.0 * widest / nearest * FitCell::PER_UNIT;
         let wide = match &cell.fitted {
             Some(both) => both.map(|fitted| fitted.off + 0.25 * fitted.bend * apart * apart + 1e-6),
@@ -363,9 +362,9 @@ impl<'a> Fit<'a> {
             let (column, row) = (column.at(u, v), row.at(u, v));
             let of_column = between(column - self.wide[0], column + self.wide[0], self.count[0]);
             let of_row = between(row - self.wide[1], row + self.wide[1], self.count[1]);
-            let told = if self.cell.is_empty { [1.0; 4] } else { [of_row[0], of_column[0], of_row[1], of_column[1]] };
+            let reach = if self.cell.is_empty { [1.0; 4] } else { [of_row[0], of_column[0], of_row[1], of_column[1]] };
             for k in 0..4 {
-                all[k][l] = if known { told[k] } else { ANYWHERE };
+                all[k][l] = if known { reach[k] } else { ANYWHERE };
             }
         }
         store(&all, reaches);
@@ -430,7 +429,7 @@ mod tests {
         Sensor::new(SensorSpec::new("s", "laser", geometry)).unwrap()
     }
 
-    /// A wrinkled sheet of triangles in front of the sensor, and how they are seen.
+    /// A wrinkled sheet of triangles in front of the sensor.
     fn plan(sensor: &Sensor, towards: DVec3, distance: f64, size: f64, wrinkles: &[f64]) -> FramePlan {
         let (right, up) = towards.any_orthonormal_pair();
         let lean = towards * wrinkles[0] * 0.8;
@@ -465,8 +464,8 @@ mod tests {
         rays.into_iter().filter(|(_, ray)| !ray.is_nan()).collect()
     }
 
-    /// How many rays meet triangles of which a reach is told, how many of these lie on the outermost line or sample of a reach, and how many triangles end in the
-    /// sieve and pass it.
+    /// Numbers of rays that hit triangles with a bounded reach, of such rays on the outermost line or sample of a
+    /// reach, and of triangles that the sieve rejects and passes.
     fn check(plan: &FramePlan) -> [usize; 4] {
         let all = rays(&plan.sensor);
         let mut counts = [0; 4];
@@ -488,7 +487,7 @@ mod tests {
                 let reach = passed.iter().find(|(p, _)| *p == polygon).map(|(_, reach)| *reach);
                 for ([line, sample], _) in all.iter().filter(|(_, ray)| inside(*ray)) {
                     let reach = reach.unwrap_or_else(|| panic!("{polygon} covers {line}, {sample}"));
-                    if is_told(&reach) {
+                    if is_bounded(&reach) {
                         counts[0] += 1;
                         let [first_line, first_sample, last_line, last_sample] =
                             [reach[0], reach[1], -reach[2], -reach[3]];
@@ -520,7 +519,8 @@ mod tests {
         }
     }
 
-    /// A sieve that lets everything pass anywhere would pass the test above, and reaches that are a line too wide.
+    /// A sieve that passes everything with unbounded reach would pass the test above, and so would reaches that are a
+    /// line too wide.
     #[test]
     fn most_small_triangles_end_here_and_reaches_are_tight() {
         let wrinkles: Vec<f64> = (0..36).map(|i| 0.3 * f64::from(i * 7 % 5)).collect();

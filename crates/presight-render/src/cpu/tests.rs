@@ -144,7 +144,8 @@ proptest! {
         check(&world(&triangles), &scanner(start, step / 4.0, 96, 1), &pose)?;
     }
 
-    /// Few rows are drawn across columns: their bits are those of the same rows among more, also where polygons lie in one place.
+    /// Few rows are drawn across columns: their bits are those of the same rows among more, also where polygons lie in
+    /// one place.
     #[test]
     fn few_rows_are_rows_among_more(
         triangles in soup(), pose in pose(), start in -200.0..200.0f64, step in -5.0..5.0f64, columns in 1..70u32,
@@ -174,8 +175,8 @@ proptest! {
     }
 }
 
-/// Twenty walls behind each other, each over the whole image, drawn in one wave: after two samples drawn for each of a band the depth is
-/// looked at again, before the fourth wall.
+/// Twenty walls behind each other, each over the whole image, drawn in one wave: after two samples drawn for each of a
+/// band the depth is looked at again, before the fourth wall.
 #[test]
 fn walls_behind_what_the_same_wave_drew_are_not_drawn() {
     let mut environment = Environment::new();
@@ -242,8 +243,8 @@ fn ties_go_to_the_lower_slot_and_neighbours_leave_no_crack() {
     }
 }
 
-/// By hand: a square of 2 m, 2 m ahead, is 40 pixels wide at a focal length of 40 pixels, and a ray (x, y, z) meets it if neither |y| nor |z|
-/// is more than half of x.
+/// By hand: a square of 2 m, 2 m ahead, is 40 pixels wide at a focal length of 40 pixels, and a ray (x, y, z) meets it
+/// if neither |y| nor |z| is more than half of x.
 #[test]
 fn with_a_deadline_samples_with_a_polygon_are_counted() {
     let square = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(y, z)| Vec3::new(2.0, y, z));

@@ -1,6 +1,7 @@
-//! The second estimate (paper section 3.3): after the setup of the first wave it is known which boxes of pixels its polygons may
-//! cover. If they take longer than there is time, more samples may come of every k-th column and row than of all of them up to where
-//! the drawing stops. What follows the first wave takes the rest of what was learnt for whole frames.
+//! The second estimate (paper section 3.3). After the setup of the first wave, the boxes of pixels that its polygons
+//! may cover are known. If drawing them takes longer than the time left, every k-th column and row may give more
+//! samples than all samples up to the point where drawing stops. Later waves are predicted by the costs learnt for
+//! whole frames.
 
 use super::batch::{Batch, PolygonSetup};
 use crate::plan::{Pace, Run};
@@ -10,12 +11,12 @@ use std::ops::Range;
 /// A frame after the setup of its first wave.
 pub(super) struct Frame<'a> {
     pub batches: &'a [Batch],
-    /// What follows, nearest first, and seconds that it should take; 0 if that is not known.
+    /// The runs that follow, nearest first, and the seconds that they should take; 0 if unknown.
     pub later: &'a [Run],
     pub rest: f64,
-    /// Metres: nothing that follows is nearer.
+    /// Lower bound of the distance of the polygons that follow, metres.
     pub beyond: f32,
-    /// Metres: the radius to which the image will be complete when all is drawn.
+    /// Radius to which the image is complete when all polygons are drawn, metres.
     pub radius: f32,
     pub grid: &'a PixelGrid,
     pub pace: &'a Pace,
@@ -25,10 +26,10 @@ pub(super) struct Frame<'a> {
     pub set_up: f64,
 }
 
-/// Cells by which the image is looked at, along each side.
+/// Cells along each side of the image, in which coverage is counted.
 const CELLS: usize = 24;
 
-/// A polygon's image: its pixels, the cells that it touches, and the distance in its middle, metres.
+/// A polygon's image: its pixels, the cells that it touches, and the distance of its middle, metres.
 struct Seen {
     pixels: u64,
     lines: Range<usize>,
@@ -41,13 +42,13 @@ pub(super) fn pixels(polygon: &PolygonSetup) -> u64 {
     u64::from(polygon.end_line - polygon.first_line) * u64::from(polygon.end_sample - polygon.first_sample)
 }
 
-/// Seconds for drawing polygons with so many pixels in the boxes around them.
+/// Seconds for drawing a number of polygons with this number of pixels in the boxes around them.
 pub(super) fn seconds(pace: &Pace, polygons: u64, pixels: u64, stride: u32) -> f64 {
     let pixels = pixels as f64 / f64::from(stride * stride);
     pace.wave + pace.polygon * polygons as f64 + pace.sample * pixels
 }
 
-/// The stride of which most samples are to be expected in time; the least of those that are as good.
+/// The stride with the largest expected number of samples in time; the smallest if several have it.
 pub(super) fn stride(frame: &Frame<'_>) -> u32 {
     let seen: Vec<Vec<Seen>> = frame.batches.iter().map(|batch| seen(batch, frame.grid)).collect();
     let mut best = (expected(frame, &seen, 1), 1);
@@ -82,7 +83,7 @@ fn seen(batch: &Batch, grid: &PixelGrid) -> Vec<Seen> {
         };
         let inverse = polygon.m.dot(ray);
         let range = if inverse > 0.0 { length / inverse } else { f64::INFINITY };
-        // Cells whose middle is in the box, but one at least.
+        // Cells whose middle is in the box, at least one.
         let cells = |first: u32, end: u32, of: usize| {
             let cell = |at: u32| (at as usize * CELLS + of / 2) / of;
             let first = cell(first).min(CELLS - 1);
@@ -98,8 +99,8 @@ fn seen(batch: &Batch, grid: &PixelGrid) -> Vec<Seen> {
     batch.polygons.iter().filter(|polygon| pixels(polygon) > 0).map(of_polygon).collect()
 }
 
-/// About how many samples are final when the time is up: all of them if all is drawn by then, else those whose cell shows something
-/// nearer than what is not drawn.
+/// Expected number of final samples when the time is up: all samples if all polygons are drawn by then, otherwise those
+/// whose cell shows a polygon nearer than every polygon left out.
 fn expected(frame: &Frame<'_>, seen: &[Vec<Seen>], stride: u32) -> f64 {
     let left = frame.left + frame.pace.saved(stride) - if stride > 1 { frame.set_up } else { 0.0 };
     let (mut polygons, mut pixels, mut drawn, mut took) = (0, 0, 0, 0.0);
@@ -118,7 +119,7 @@ fn expected(frame: &Frame<'_>, seen: &[Vec<Seen>], stride: u32) -> f64 {
     share * (lines * samples) as f64 / f64::from(stride * stride)
 }
 
-/// The share of the cells that show something nearer than so many metres.
+/// The share of the cells that show a polygon nearer than a distance.
 fn nearer(seen: &[Vec<Seen>], metres: f64) -> f64 {
     let mut near = [[false; CELLS]; CELLS];
     for polygon in seen.iter().flatten().filter(|polygon| polygon.range < metres) {
@@ -128,7 +129,7 @@ fn nearer(seen: &[Vec<Seen>], metres: f64) -> f64 {
 }
 
 impl Frame<'_> {
-    /// Metres: how far the image is complete so many seconds after the first wave.
+    /// Radius to which the image is complete after some seconds of drawing the later runs, metres.
     fn reached(&self, seconds: f64) -> f32 {
         if self.later.is_empty() || self.rest <= 0.0 {
             return self.beyond;
@@ -149,7 +150,7 @@ mod tests {
     use glam::DVec3;
     use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
 
-    /// A batch of one polygon over a quarter of the image, 76,800 pixels, of a plane so many metres ahead.
+    /// A batch of one polygon over a quarter of the image, 76,800 pixels, on a plane `depth` metres ahead.
     fn batch(nearest: f32, depth: f64) -> Batch {
         let polygon = PolygonSetup {
             m: DVec3::Y / depth,
@@ -169,8 +170,9 @@ mod tests {
         batch
     }
 
-    /// By hand: 10 ms for each batch, and 12 ms left. All pixels: the first batch alone; what is seen at 5 m is final only if the second
-    /// one begins farther away. Every second column and row: both batches in 5 ms, a quarter of 76,800 samples.
+    /// By hand: 10 ms for each batch, and 12 ms left. All pixels: the first batch alone; samples at 5 m are final only
+    /// if the second batch begins farther away. Every second column and row: both batches in 5 ms, a quarter of 76,800
+    /// samples.
     #[test]
     fn thinning_is_weighed_against_stopping() {
         let camera = Camera::pinhole(640, 480, 5000.0, 5000.0, 349.5, 249.5);
@@ -189,16 +191,17 @@ mod tests {
         let (near, far) = ([batch(0.5, 5.0), batch(1.0, 6.0)], [batch(0.5, 5.0), batch(5.5, 6.0)]);
         assert_eq!(made(&near, 12e-3, 0.0), (2, 0.0));
         assert_eq!(made(&far, 12e-3, 0.0), (1, 76_800.0));
-        // No time even for every second one, which would have to be set up again.
+        // Too little time even for every second column, which would have to be set up again.
         assert_eq!(made(&near, 12e-3, 8e-3).0, 4);
-        // Nothing fits: nothing is gained.
+        // Every stride is too slow, so thinning has no advantage.
         assert_eq!(made(&near, 1e-5, 0.0).0, 1);
         assert_eq!(made(&near, 21e-3, 0.0), (1, 76_800.0));
-        // No time is left but what thinned images save: 6 ms, enough for both batches in 5 ms.
+        // The only time left is what thinned images save: 6 ms, enough for both batches in 5 ms.
         let saving = Pace { saved: [6e-3; 3], ..pace };
         assert_eq!(stride(&of(&near, grid, &saving, 0.0, 0.0)), 2);
-        // 100 runs follow from 10 m on, a decimetre apart, and take 10 ms. After 25 ms half of them are drawn, up to 15 m: that is nothing
-        // of what is seen at 30 m. Every second column and row take 5 ms and these 10: all of a quarter of the image.
+        // 100 runs follow from 10 m on, 0.1 m apart, and take 10 ms. After 25 ms half of them are drawn, up to 15 m,
+        // and no sample at 30 m is final. Every second column and row takes 5 ms and these 10: a quarter of all
+        // samples.
         let run = |i| Run { instance: 0, first: 0, count: 10, nearest: 10.0 + 0.1 * i as f32 };
         let later: Vec<Run> = (0..100).map(run).collect();
         let (near, far) = ([batch(0.5, 5.0), batch(1.0, 6.0)], [batch(0.5, 30.0), batch(1.0, 30.0)]);
@@ -206,7 +209,8 @@ mod tests {
             decide(&Frame { later: &later, rest: 10e-3, ..of(batches, grid, &pace, left, 0.0) })
         };
         assert_eq!(whole(&far, 25e-3), (2, 0.0));
-        // Of what is seen at 5 m it is all, and as much as thinned. Where all is drawn in time all samples are there.
+        // Samples at 5 m are all final, as many as with thinning. If all polygons are drawn in time, all samples are
+        // final.
         assert_eq!(whole(&near, 25e-3), (1, 76_800.0));
         assert_eq!(whole(&far, 31e-3), (1, 307_200.0));
         let frame = Frame { later: &later, rest: 10e-3, ..of(&far, grid, &pace, 25e-3, 0.0) };

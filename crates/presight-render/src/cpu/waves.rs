@@ -1,4 +1,4 @@
-//! Draws the selected runs in waves, nearest first, so that what earlier waves drew hides later runs before they are set up.
+//! Draws the selected runs in waves, nearest first, so that earlier waves hide later runs before their setup.
 
 use super::batch::{self, Batch, Winners};
 use super::bounds::Bounds;
@@ -14,31 +14,31 @@ use rayon::prelude::*;
 use std::ops::{Range, RangeInclusive};
 use std::time::Duration;
 
-/// Pixels for each polygon of the first wave, and how many polygons it has at least and at most; every further wave takes as many
-/// as all before it together. Few pixels are soon covered, and another wave costs a pass over them.
+/// Number of pixels for each polygon of the first wave, and the minimum and maximum number of its polygons. Every
+/// further wave has as many polygons as all waves before it together. Few pixels are soon covered, and another wave
+/// costs a pass over them.
 const PIXELS_PER_POLYGON: usize = 16;
 pub(super) const FIRST_WAVE: RangeInclusive<usize> = 256..=4096;
 
-/// Nanoseconds of a slow core between looks at the clock: for a polygon's setup, and for its drawing in a band without its samples. Each
-/// sample counts as one more.
-const SETUP_NS: u64 = 100;
+/// Nanoseconds of a slow core between readings of the clock: for a polygon's setup, and for its drawing in a band
+/// without its samples, which take 1 ns each.
 const POLYGON_NS: u64 = 100;
 
-/// Runs that a task tests, to drop the hidden ones.
+/// Number of runs that a task tests for occlusion.
 const SIFTED: usize = 64;
 
-/// One in eight of the runs that the first wave leaves is held to the z-buffer, to estimate how many may show; up to 64 runs are
-/// all held to it.
+/// One in eight of the runs after the first wave is tested against the z-buffer to estimate the number of visible ones.
+/// Up to 64 runs are all tested.
 const SAMPLED: usize = 8;
 const FEW_RUNS: usize = 64;
 
-/// What came of drawing.
+/// Result of drawing.
 pub(super) enum Drawn {
-    /// Images.
+    /// The images are filled.
     All,
-    /// Nothing yet: the image is to be thinned to every n-th column and row.
+    /// The images are empty: the image is to be thinned to every n-th column and row.
     Thinned(u32),
-    /// Nothing yet: too many polygons may still show after the first wave, so tiles are faster.
+    /// The images are empty: too many polygons may be visible after the first wave, so tiles are faster.
     TooMany,
 }
 
@@ -52,14 +52,14 @@ pub(super) struct Waves<'a, 'i> {
     canvas: &'a mut [Buffer],
     targets: Vec<resolve::Target<'i>>,
     progress: FrameProgress<'a>,
-    /// Time for hiding, setup and drawing.
+    /// Times for culling, setup and drawing.
     times: [Duration; 3],
-    /// Runs and batches that are done, runs that were hidden, and waves.
+    /// Numbers of completed runs, completed batches, hidden runs, and waves.
     done: usize,
     used: usize,
     hidden: usize,
     waves: usize,
-    /// Polygons that may show after the first wave, if they were counted.
+    /// Number of polygons that may be visible after the first wave, if they were counted.
     pub left: Option<u64>,
 }
 
@@ -93,7 +93,7 @@ impl<'a, 'i> Waves<'a, 'i> {
         }
     }
 
-    /// Sets up and draws all runs, nearest first. If `may_turn`, it stops after the first wave where tiles are faster.
+    /// Sets up and draws all runs, nearest first. If `may_turn`, it stops after the first wave if tiles are faster.
     pub fn draw_all(&mut self, may_turn: bool, stats: &mut Stats) -> Drawn {
         loop {
             let start = Instant::now();
@@ -140,10 +140,10 @@ impl<'a, 'i> Waves<'a, 'i> {
     fn next_wave(&self) -> Range<usize> {
         let pixels = self.plan.sensor.width() as usize * self.plan.sensor.height() as usize;
         let first = (pixels / PIXELS_PER_POLYGON).clamp(*FIRST_WAVE.start(), *FIRST_WAVE.end());
-        progress::next_wave(&self.plan.runs, self.done, first, self.progress.most_polygons(self.done))
+        progress::next_wave(&self.plan.runs, self.done, first, self.progress.max_polygons(self.done))
     }
 
-    /// The runs of a wave that no earlier one hides.
+    /// The runs of a wave that earlier waves do not hide.
     fn cull(&mut self, wave: Range<usize>) -> Vec<Run> {
         let runs = &self.plan.runs[wave.clone()];
         let kept = if self.waves == 0 { runs.to_vec() } else { self.sift(runs) };
@@ -159,9 +159,10 @@ impl<'a, 'i> Waves<'a, 'i> {
         if self.here { sift(runs) } else { runs.par_chunks(SIFTED).map(sift).collect::<Vec<_>>().concat() }
     }
 
-    /// Counts the polygons that may show after the first wave, and returns true if tiles are faster by that.
+    /// Counts the polygons that may be visible after the first wave, and returns true if tiles are faster for this
+    /// number.
     fn has_too_many(&mut self) -> bool {
-        let most = self.plan.chosen().most_left;
+        let most = self.plan.chosen().max_left;
         let (rest, polygons) =
             (&self.plan.runs[self.done..], |runs: &[Run]| -> u64 { runs.iter().map(|run| u64::from(run.count)).sum() });
         let is_late =
@@ -176,7 +177,8 @@ impl<'a, 'i> Waves<'a, 'i> {
         left > most
     }
 
-    /// Sets up runs, in batches after those in use. Returns the nearest distance of the runs that were left out because the time was up.
+    /// Sets up runs, in batches after those in use. Returns the nearest distance of the runs that were left out because
+    /// the time was up.
     fn set_up(&mut self, runs: &[Run]) -> Option<f32> {
         let Self { plan, bands, here, batches, winners, used, .. } = self;
         let first = *used;
@@ -189,7 +191,8 @@ impl<'a, 'i> Waves<'a, 'i> {
     fn draw(&mut self, first: usize, wave: WaveEnds) {
         let Self { plan, bands, here, batches, winners, canvas, targets, progress, used, .. } = self;
         let (batches, winners) = (&batches[first..*used], &**winners);
-        // In step every band draws a batch before any draws the next one: stopped, they are complete to about the same distance.
+        // In step, every band draws a batch before any band draws the next: stopped bands are complete to about the
+        // same distance.
         let step = if progress.in_step { 1 } else { batches.len().max(1) };
         let steps = batches.len().div_ceil(step).max(1);
         let at_once = plan.limit.is_none() || progress.has_plenty;
@@ -230,7 +233,7 @@ impl<'a, 'i> Waves<'a, 'i> {
 
     /// Records times and counts.
     fn finish(&self, stats: &mut Stats) {
-        progress::tell_stages(self.times, self.waves, stats);
+        progress::record_stages(self.times, self.waves, stats);
         stats.count(CountName::PolygonsSelected, self.plan.polygon_count);
         stats.count(CountName::RunsSelected, self.plan.runs.len());
         stats.count(CountName::RunsHidden, self.hidden);
@@ -238,7 +241,7 @@ impl<'a, 'i> Waves<'a, 'i> {
         if let Some(left) = self.left {
             stats.count(CountName::PolygonsLeft, left as usize);
         }
-        self.progress.tell(stats);
+        self.progress.record(stats);
         let batches = &self.batches[..self.used];
         let sum = |of: fn(&Batch) -> usize| batches.iter().map(of).sum();
         stats.count(CountName::PolygonsPlaced, sum(|b| b.placed));
@@ -250,17 +253,17 @@ impl<'a, 'i> Waves<'a, 'i> {
     }
 }
 
-/// Where a wave lies in its frame.
+/// Position of a wave in its frame.
 #[derive(Clone, Copy)]
 struct WaveEnds {
     first: bool,
     last: bool,
-    /// Metres: nothing that follows is nearer.
+    /// Lower bound of the distance of the polygons that follow, metres.
     beyond: f32,
 }
 
-/// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of the runs that were left out because
-/// the time was up.
+/// Sets up the runs of a wave, in batches after those in use. Returns the nearest distance of the runs that were left
+/// out because the time was up.
 fn set_up(
     plan: &FramePlan,
     bands: &Bands,
@@ -280,7 +283,7 @@ fn set_up(
     let set_up = |(batch, group): (&mut Batch, &Range<usize>)| {
         batch.nearest = runs[group.start].nearest_below();
         let polygons: u64 = runs[group.clone()].iter().map(|run| u64::from(run.count)).sum();
-        batch.is_set_up = !plan.watch().is_some_and(|watch| watch.is_over_after(SETUP_NS * polygons));
+        batch.is_set_up = !plan.watch().is_some_and(|watch| watch.is_over_after(POLYGON_NS * polygons));
         if batch.is_set_up {
             arch.dispatch(SetUp { batch: &mut *batch, plan, runs: &runs[group.clone()], bands });
             if plan.limit.is_some() && is_first {
@@ -298,7 +301,8 @@ fn set_up(
     left_out.map(|i| new[i].nearest)
 }
 
-/// Drops the hidden runs of a wave. Tasks are types, not closures, so that they are compiled for each vector width.
+/// Drops the hidden runs of a wave. Tasks are types instead of closures, so that they are compiled for each vector
+/// width.
 struct Cull<'a> {
     plan: &'a FramePlan,
     runs: &'a [Run],
@@ -333,23 +337,23 @@ impl pulp::WithSimd for SetUp<'_> {
     }
 }
 
-/// Where the batches of a task lie in their wave.
+/// Position of a task's batches in their wave.
 #[derive(Clone, Copy)]
 struct WavePart {
-    /// Nothing was drawn before.
+    /// True if the buffer is empty so far.
     clear: bool,
-    /// They are the last ones of the wave.
+    /// True for the last batches of the wave.
     end: bool,
-    /// They are drawn without a look at the clock between them.
+    /// True if they are drawn without reading the clock between them.
     at_once: bool,
-    /// Metres: nothing that follows them is nearer.
+    /// Lower bound of the distance of the polygons that follow them, metres.
     beyond: f32,
 }
 
 /// Draws a wave into a band and, after the last one, resolves it.
 struct Draw<'a, 't> {
     buffer: &'a mut Buffer,
-    /// After the last wave.
+    /// Target of the images, after the last wave.
     target: Option<&'a mut resolve::Target<'t>>,
     plan: &'a FramePlan,
     batches: &'a [Batch],
@@ -381,7 +385,7 @@ impl pulp::WithSimd for Draw<'_, '_> {
         if !progress.has_stopped {
             progress.complete_to = beyond;
         }
-        // One by one where the time may run out.
+        // One by one if the time may run out.
         let together = if at_once { batches.len().max(1) } else { 1 };
         for some in batches.chunks(together) {
             let over = plan.watch().is_some_and(|watch| {
@@ -410,7 +414,7 @@ impl pulp::WithSimd for Draw<'_, '_> {
     }
 }
 
-/// Makes a band's images from its z-buffer.
+/// Fills a band's images from its z-buffer.
 struct Resolve<'a, 't> {
     buffer: &'a Buffer,
     target: &'a mut resolve::Target<'t>,

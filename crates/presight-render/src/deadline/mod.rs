@@ -4,13 +4,14 @@
 //! distance of the nearest undrawn polygon. Nearer samples are final; all others are marked as given up. This keeps a
 //! deadline without any estimate. Estimates only avoid useless work:
 //!
-//! | means | when | gives up |
-//! |---|---|---|
-//! | [`DegradationKind::Radius`] | after selection, if even a low estimate of the time is too long | surfaces beyond a radius |
-//! | [`DegradationKind::Angle`] | then, if even the least radius is too much | columns away from a heading |
-//! | [`DegradationKind::Stride`] | after the setup of the first wave, if thinning keeps more samples than stopping early | all but every k-th column and row |
-//! | [`DegradationKind::Clock`] | between batches of polygons, when the time left is needed for the later steps | surfaces not drawn yet |
-//! | [`DegradationKind::Features`] | between features, if the next ones do not fit | features with the least image length |
+//! - [`DegradationKind::Radius`], after selection, if even a low estimate of the time is too long: surfaces beyond a
+//!   radius
+//! - [`DegradationKind::Angle`], then, if even the minimum radius is too much: columns away from a heading
+//! - [`DegradationKind::Stride`], after the setup of the first wave, if thinning keeps more samples than stopping
+//!   early: all but every k-th column and row
+//! - [`DegradationKind::Clock`], between batches of polygons, when the time left is needed for the later steps:
+//!   surfaces not drawn yet
+//! - [`DegradationKind::Features`], between features, if the next ones do not fit: features with the least image length
 //!
 //! A sample that was given up is NaN with id 0, never `+inf`. [`Degradation`] lists the losses; without it, NaN means
 //! that the pixel has no ray. [`presight_model::ErrorKind::Deadline`] means that not even an empty image can be made in
@@ -22,8 +23,13 @@ mod priority;
 pub use clock::{Clock, SystemClock, Watch};
 pub use priority::Priority;
 
+use presight_model::limits::LISTED_PROBLEMS;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::time::Duration;
+
+/// Ratio of the time left to the expected time above which the image is not thinned, and a wave is drawn without reading
+/// the clock.
+pub(crate) const PLENTY: f64 = 8.0;
 
 /// An engine that supports deadlines, as the key for learnt costs.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -176,9 +182,8 @@ impl Degradation {
             format!("{}: {why}", self.in_words(taken))
         }));
         if !self.features.is_empty() {
-            const LISTED: usize = 20;
-            let ids: Vec<String> = self.features.iter().take(LISTED).map(u32::to_string).collect();
-            let more = if self.features.len() > LISTED { ", .." } else { "" };
+            let ids: Vec<String> = self.features.iter().take(LISTED_PROBLEMS).map(u32::to_string).collect();
+            let more = if self.features.len() > LISTED_PROBLEMS { ", .." } else { "" };
             lines.push(format!("features left out: {}{more}", ids.join(", ")));
         }
         lines
@@ -220,7 +225,7 @@ pub struct Wave {
     pub polygons: u64,
     /// Pixels in the bounding boxes of the polygons: an upper bound of the samples tested.
     pub samples: u64,
-    /// Estimate of the drawing by the unit costs learnt before; 0 if nothing was learnt.
+    /// Estimate of the drawing time by learnt unit costs; 0 without any.
     pub estimate_ms: f64,
     /// The actual time of the drawing.
     pub time_ms: f64,

@@ -198,7 +198,7 @@ impl<'a> Factors<'a> {
         Self { plan, polygons: PolygonsOfIds::new(plan.environment(), plan.drawn_ids()), last: None }
     }
 
-    /// The factor for a pixel's ids; arbitrary if nothing is hit, because the cosine is NaN then.
+    /// The factor for a pixel's ids. Arbitrary without a hit, because the cosine is NaN then.
     fn of(&mut self, object_id: u32, polygon_id: u32) -> f64 {
         let Some(object) = object_id.checked_sub(1) else { return 1.0 };
         let of_all = match self.last {

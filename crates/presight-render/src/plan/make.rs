@@ -1,4 +1,4 @@
-//! Makes plans: by a selection, by a cut of the world, or by tiles, which select nothing.
+//! Makes plans: by a selection, by a cut of the world, or by tiles, without a selection.
 
 use super::{ChosenWay, FramePlan, ImageRequest, PlanBuffers, TimeLimit, Way, region_of};
 use crate::row::RowCut;
@@ -36,8 +36,8 @@ impl FramePlan {
         Ok(plan)
     }
 
-    /// Plans a prediction by a cut of the same version of the world at the sensor's height, which must serve the sensor, see
-    /// [`crate::row::RowCuts::get`]. Nothing is selected. Only the CPU engine draws it.
+    /// Plans a prediction by a cut of the same version of the world at the sensor's height, see
+    /// [`crate::row::RowCuts::get`], without a selection. Only the CPU engine draws it.
     pub fn by_cut(
         buffers: PlanBuffers,
         world: &World,
@@ -83,7 +83,8 @@ impl FramePlan {
         }
     }
 
-    /// Plans a prediction in a chosen way. By tiles nothing is selected, and only the CPU engine and the reference draw it.
+    /// Plans a prediction with a chosen strategy. Plans for tiles have no selection; only the CPU engine and the
+    /// reference draw them.
     ///
     /// # Errors
     /// Same as [`Pose::check`].
@@ -106,23 +107,23 @@ impl FramePlan {
         Ok(plan)
     }
 
-    /// How the CPU engine is to draw it: [`Way::Tiles`] if nothing was selected.
+    /// Strategy of the CPU engine for this plan: [`Way::Tiles`] for plans without a selection.
     pub fn way(&self) -> Way {
         self.chosen.way
     }
 
-    /// How, and why so.
+    /// The chosen strategy and the reason.
     pub fn chosen(&self) -> ChosenWay {
         self.chosen
     }
 
-    /// Replaces the way, for tests.
+    /// Replaces the strategy, for tests.
     #[cfg(test)]
     pub(crate) fn set_chosen(&mut self, chosen: ChosenWay) {
         self.chosen = chosen;
     }
 
-    /// The same plan with what the sensor may see selected.
+    /// This plan with a selection of the polygons that the sensor may see.
     ///
     /// # Errors
     /// Same as [`Pose::check`].
@@ -137,7 +138,7 @@ impl FramePlan {
         Ok(Self { limit, chosen: ChosenWay::WITHOUT_TREES, ..plan })
     }
 
-    /// Records the way that the engine took, where it is not the planned one.
+    /// Records the strategy that the engine used, if it is not the planned one.
     pub fn record_way(&mut self, way: Option<Way>) {
         match (self.way(), way) {
             (Way::Tiles, Some(Way::Raster)) => self.chosen = ChosenWay::WITHOUT_TREES,

@@ -91,7 +91,7 @@ impl Instance {
     }
 }
 
-/// How a sensor class sees the materials of an environment, by material index.
+/// Visibility of an environment's materials for a sensor class, by material index.
 pub fn facings<'a>(environment: &'a Environment, class: &'a str) -> impl Iterator<Item = Facing> + 'a {
     let opaque = move |m: &Material| m.appearance(class) == Appearance::Opaque;
     environment.materials().iter().map(move |m| Facing { opaque: opaque(m), one_sided: m.one_sided })
@@ -120,7 +120,7 @@ impl Run {
 /// Reason why engines have nothing to do.
 pub const NOTHING_IN_VIEW: &str = "no polygon is in view";
 
-/// How the sensor's class sees a material.
+/// Visibility of a material for the sensor's class.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Facing {
     /// Opaque to the sensor's class.
@@ -158,7 +158,7 @@ pub struct FramePlan {
     pub limit: Option<TimeLimit>,
     /// True if engines may begin with the polygons that the sensor's last frame showed.
     pub reuse_visible: bool,
-    /// [`Way::Tiles`] only if nothing was selected.
+    /// [`Way::Tiles`] only for plans without a selection.
     chosen: ChosenWay,
     /// For a level scanner of one row: the cut of the world at its height, in place of runs.
     pub(crate) cut: Option<Arc<RowCut>>,
@@ -167,7 +167,7 @@ pub struct FramePlan {
     selected: Vec<ObjectRun>,
 }
 
-/// What only frames with a deadline have.
+/// Data that only frames with a deadline have.
 #[derive(Clone, Debug)]
 pub struct TimeLimit {
     /// The clock that stops drawing.
@@ -176,7 +176,7 @@ pub struct TimeLimit {
     pub radius: Option<f32>,
     /// The part of the image to draw, unless it is the whole image.
     pub part: Option<ImagePart>,
-    /// Drawing costs, if they are known: the engine may thin the image accordingly.
+    /// Drawing costs, if they are learnt: the engine may thin the image accordingly.
     pub pace: Option<Pace>,
     /// The raster may hand over to tiles while at least this much time is left; `None` if it may not.
     pub tiles: Option<Duration>,
@@ -248,7 +248,7 @@ impl FramePlan {
         self.limit.as_ref().and_then(|limit| limit.part)
     }
 
-    /// Drawing costs, if they are known.
+    /// Drawing costs, if they are learnt.
     pub fn pace(&self) -> Option<&Pace> {
         self.limit.as_ref().and_then(|limit| limit.pace.as_ref())
     }
@@ -386,7 +386,7 @@ impl FramePlan {
         self.drawn_ids().id_of(&self.world.environment().objects()[object as usize], polygon)
     }
 
-    /// Nothing selected yet, and no facings.
+    /// Removes the selection and the facings.
     fn clear(&mut self) {
         // Feature ids are derived from features later.
         self.request.outputs = self.request.outputs.without(Output::FeatureId);

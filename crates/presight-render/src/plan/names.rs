@@ -109,7 +109,7 @@ words! {
         RunsShownBefore = "runs shown before",
         RunsHidden = "runs hidden",
         Waves = "waves",
-        /// Polygons that may still show after the first wave, estimated where many were selected.
+        /// Polygons that may be visible after the first wave, estimated if many were selected.
         PolygonsLeft = "polygons left after the first wave",
         /// Intervals of samples of a polygon on a line; for ray tables, tiles in which a polygon is drawn.
         Spans = "spans",
@@ -120,7 +120,7 @@ words! {
         HitsWithoutId = "internal errors: hits without id",
         /// Nodes of trees that tiles of rays opened.
         TreeNodes = "tree nodes",
-        /// Blocks of eight triangles that tiles of rays looked at.
+        /// Blocks of eight triangles that tiles of rays tested.
         TriangleBlocks = "triangle blocks",
         /// Rays whose polygon the search left open.
         RaysInDoubt = "rays in doubt",

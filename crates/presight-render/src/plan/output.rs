@@ -31,7 +31,7 @@ pub enum Output {
 pub enum SampleKind {
     /// One f32.
     Float,
-    /// One u32; 0 means nothing.
+    /// One u32; 0 stands for a missing value.
     Id,
     /// Three f32: x, y, z.
     Vector,

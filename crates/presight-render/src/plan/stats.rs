@@ -15,10 +15,10 @@ pub struct Stats {
     pub engine: &'static str,
     /// Adapter and driver, for the GPU engine.
     pub adapter: Option<String>,
-    /// The rasterizer used on that adapter; `None` if nothing was drawn there.
+    /// The rasterizer used on that adapter; `None` if it drew no polygon.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub raster: Option<Raster>,
-    /// How the CPU engine found what rays see; `None` for other engines.
+    /// Strategy of the CPU engine; `None` for other engines.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub way: Option<Way>,
     /// CPU threads.
@@ -37,7 +37,7 @@ pub struct Stats {
     pub left_out: Vec<Omission>,
     /// Notices for the caller, such as a fallback to the CPU.
     pub notices: Vec<String>,
-    /// How the deadline was kept, if there was one.
+    /// Outcome of the deadline, if there was one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline: Option<DeadlineOutcome>,
 }

@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 
 /// Margin of cones, radians: far above rounding (2e-8 for the arcsine near 1), but too small to cost time.
 const SLACK: f64 = 1e-6;
-/// A cone with a larger half angle counts as unbounded, because it may not be convex.
+/// A cone with a larger half angle is treated as unbounded, because it may not be convex.
 const WIDEST: f64 = 1.4;
 /// Bundles of at most this many rays are not split.
 const LEAF: usize = 16;

@@ -96,7 +96,7 @@ impl Face {
     /// edges do not span a cone and would contain rays far from the polygon.
     pub fn edge_on(&self) -> bool {
         let rounding = 8.0 * UNIT_ROUNDOFF * self.nearest * (1.0 + self.aspect);
-        // NaN counts as edge-on.
+        // NaN is treated as edge-on.
         let proven = self.distance.abs() > rounding + if self.corners.len() > 3 { self.spread() } else { 0.0 };
         !proven
     }

@@ -1,8 +1,10 @@
-//! The world cut at one height: everything that a level one-row scanner can meet, as segments.
+//! The intersection of the world with one height: all surfaces that a level one-row scanner can see, as segments.
 //!
-//! A segment knows how far engines and it may disagree, see `docs/design/row.md`: positions by the rounding of
-//! transforms, an end by as much times the slope of its edge, and the plane by the polygon's corners.
+//! A segment has bounds of its difference from an engine's results, see `docs/design/row.md`: positions differ by the
+//! rounding of transforms, an end by this rounding times the slope of its edge, and the plane by the errors of the
+//! polygon's corners.
 
+use super::segment::{NO_COPY, Segment, distance};
 use super::tree::{self, Block, Node};
 use crate::plan::{Facing, facings};
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
@@ -13,43 +15,43 @@ use presight_model::world::World;
 use std::collections::HashMap;
 use std::time::Duration;
 
-/// The greatest tilt of a scanner that a cut serves, radians: poses from files are right to 1e-16.
-pub const MOST_TILT: f64 = 1e-11;
+/// Maximum tilt of a scanner that can use a cut, radians. Poses from files are right to 1e-16.
+pub const MAX_TILT: f64 = 1e-11;
 
-/// A scanner stands no farther from the world's bounds than this many of their diagonals.
-const MOST_APART: f64 = 1.0;
+/// Maximum distance of a scanner from the world's bounds, in diagonals of the bounds.
+const MAX_APART: f64 = 1.0;
 
-/// Bound of a cut's time for each polygon of the world.
+/// Upper bound of the time to make a cut, per polygon of the world.
 const POLYGON: Duration = Duration::from_micros(1);
 
-/// Rounding errors of a chain of transforms, as multiples of the last place of the numbers in it.
+/// Relative rounding error of a chain of transforms.
 const TRANSFORMS: f64 = 16.0 * f64::EPSILON;
 
 /// One version of the world at one height, for one sensor class.
 #[derive(Debug, Default)]
 pub struct RowCut {
-    /// Where polygons cross the height, in the order of the blocks, and after these the copies of others, which no beam has to
-    /// be tested against.
+    /// Segments where polygons cross the height, in the order of the blocks, then the copies of segments, which no beam
+    /// has to be tested against.
     pub segments: Vec<Segment>,
-    /// The objects of the segments, and the corners of their polygons in the mesh's frame: what engines need of a winner lies
-    /// together.
+    /// The objects of the segments, with the corners of their polygons in the mesh frame: the data of a winner that
+    /// engines need.
     pub(crate) objects: Vec<CutObject>,
     corners: Vec<Vec3>,
-    /// The root is first.
+    /// The first node is the root.
     pub(super) nodes: Vec<Node>,
     pub(super) blocks: Vec<Block>,
-    /// Factor of the margins within which an engine decides: 1, or 0 to plant a fault in tests.
+    /// Factor on the margins within which an engine decides: 1, or 0 to plant a fault in tests.
     pub(crate) margin: f64,
-    /// How the class sees the materials.
+    /// Visibility of the materials for the class.
     facings: Vec<Facing>,
-    /// Horizontal bounds of the scanners that it can serve.
+    /// Horizontal bounds of the scanners that can use the cut.
     bounds: [DVec2; 2],
-    /// Rounding error of the coordinates of boxes, and the greatest distance of anything from a scanner, metres.
+    /// Rounding error of the coordinates of boxes, and the maximum distance of a surface from a scanner, metres.
     pub(super) rounding: f64,
     pub(super) span: f64,
 }
 
-/// An object as plans place it, as far as no sensor is needed.
+/// The part of an object's placement in plans that does not depend on the sensor.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CutObject {
     pub rotation: DMat3,
@@ -58,62 +60,15 @@ pub(crate) struct CutObject {
     pub normal_from_mesh: DMat3,
 }
 
-/// Intersection of a polygon with the height.
-#[derive(Clone, Copy, Debug)]
-pub struct Segment {
-    /// One end.
-    pub a: DVec2,
-    /// The other end.
-    pub b: DVec2,
-    /// Horizontal part of the polygon's unit normal.
-    pub normal: DVec2,
-    /// The polygon's plane at this height is `normal . p = offset`.
-    pub offset: f64,
-    /// Index of the object.
-    pub object: u32,
-    /// Polygon of its mesh.
-    pub polygon: u32,
-    /// Rounding error of positions, metres.
-    pub(super) position: f32,
-    /// Metres along the ground for each metre of height, of the edges that end at `a` and `b`.
-    pub(super) slopes: [f32; 2],
-    /// No corner is farther from `a`, metres.
-    pub(super) extent: f32,
-    /// How far the corners are off the plane, metres.
-    pub(super) spread: f32,
-    /// Every corner is off the height by at least this much, metres.
-    pub(super) clearance: f32,
-    /// Least length of an edge, metres.
-    pub(super) shortest: f32,
-    /// No point of the polygon at this height, and of its plane there, is farther from the segment, metres.
-    pub(super) pad: f32,
-    /// The polygon only touches the height within rounding: it may be anywhere within `pad` of the segment, and its depth is
-    /// not known.
-    pub(super) touches: bool,
-    /// Its place in [`RowCut::objects`].
-    pub(crate) place: u32,
-    /// First corner, and their number, in [`RowCut::corners`].
-    first_corner: u32,
-    corner_count: u32,
-    /// In the mesh's frame.
-    pub(crate) mesh_normal: DVec3,
-    /// Visible only from the normal's side.
-    pub one_sided: bool,
-    /// Faces with the same corners, which are equally near: the next one in `segments`, or [`NO_COPY`].
-    pub(super) copy: u32,
-}
-
-/// Where there is no further copy.
-pub(crate) const NO_COPY: u32 = u32::MAX;
-
-/// Rounded up.
+/// The next f32 at or above a number.
 fn up(x: f64) -> f32 {
     (x as f32).next_up()
 }
 
 impl RowCut {
-    /// Bound of the time of a cut, by the polygons of the world: some ten times what cuts of real scenes took.
-    pub fn most_time(world: &World) -> Duration {
+    /// Upper bound of the time to make a cut, by the number of the world's polygons: about ten times the measured times
+    /// of real scenes.
+    pub fn max_time(world: &World) -> Duration {
         POLYGON * world.environment().slot_count()
     }
 
@@ -127,12 +82,12 @@ impl RowCut {
             return cut;
         }
         let diagonal = (bounds.max - bounds.min).length();
-        let apart = MOST_APART * diagonal;
+        let apart = MAX_APART * diagonal;
         cut.bounds = [bounds.min.truncate() - apart, bounds.max.truncate() + apart];
         let greatest = bounds.min.abs().max(bounds.max.abs()).max_element().max(height.abs()) + apart;
         (cut.rounding, cut.span) = (TRANSFORMS * greatest, 3.0 * diagonal);
-        // How much lower or higher a tilted scanner sees something.
-        let tilted = MOST_TILT * cut.span;
+        // Maximum change of height that a tilted scanner sees.
+        let tilted = MAX_TILT * cut.span;
         let margins: Vec<f64> = environment.objects().iter().map(|o| position_error(o, greatest)).collect();
         let most = margins.iter().copied().fold(0.0, f64::max) + tilted;
         if !(bounds.min.z - most <= height && height <= bounds.max.z + most) {
@@ -176,7 +131,7 @@ impl RowCut {
         cut
     }
 
-    /// The same cut without margins for rounding, a fault that tests have to find.
+    /// This cut without margins for rounding, a fault that tests have to find.
     #[must_use]
     pub fn without_margins(self) -> Self {
         Self { margin: 0.0, ..self }
@@ -188,7 +143,7 @@ impl RowCut {
         std::iter::successors(Some(segment), next).map(|at| &self.segments[at as usize])
     }
 
-    /// The corners of a segment's polygon in the frame of its mesh; none for copies.
+    /// The corners of a segment's polygon in the mesh frame; empty for copies.
     pub(crate) fn corners(&self, segment: &Segment) -> &[Vec3] {
         self.corners
             .get(segment.first_corner as usize..)
@@ -201,18 +156,18 @@ impl RowCut {
         self.segments[segment as usize].copy != NO_COPY
     }
 
-    /// How the class sees the materials, by material index.
+    /// Visibility of the materials for the class, by material index.
     pub(crate) fn facings(&self) -> &[Facing] {
         &self.facings
     }
 
-    /// True if a scanner at this place is near enough for the cut's margins.
+    /// True if a scanner at this position is near enough for the cut's margins.
     pub fn serves(&self, place: DVec2) -> bool {
         self.segments.is_empty() || (place.cmpge(self.bounds[0]).all() && place.cmple(self.bounds[1]).all())
     }
 }
 
-/// How far the positions of an object's corners may be off, metres, in the world and from any scanner in it.
+/// Maximum error of the positions of an object's corners, in the world and relative to any scanner in it, metres.
 fn position_error(object: &Object, greatest: f64) -> f64 {
     let matrix = object.object_from_mesh.matrix3;
     let norm = |m: DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -223,18 +178,18 @@ fn position_error(object: &Object, greatest: f64) -> f64 {
     if bounds.is_empty() { 0.0 } else { TRANSFORMS * norm(matrix) * norm(matrix.inverse()) * far }
 }
 
-/// Faces with the corners of an earlier face of their object: their planes have the same bits up to the sign, so that the
-/// first one wins wherever rounding does not decide.
+/// Faces with the corners of an earlier face of their object. Their planes have the same bits up to the sign, so that
+/// the first face wins wherever rounding does not decide.
 #[derive(Default)]
 struct Copies {
-    /// By a number that does not depend on the order of the corners: the first face.
+    /// First face, by object and a hash that does not depend on the order of the corners.
     first: HashMap<(u32, u64), u32>,
-    /// Copies, each with object and polygon of the first face.
+    /// Copies, with object and polygon of the first face.
     all: Vec<((u32, u32), Segment)>,
 }
 
 impl Copies {
-    /// Takes a segment if it is a copy of one before.
+    /// Takes a segment if it is a copy of an earlier one. Returns true in that case.
     fn take(&mut self, object: &Object, segment: &Segment, before: &[Segment]) -> bool {
         if segment.touches || segment.one_sided {
             return false;
@@ -251,14 +206,14 @@ impl Copies {
         let Some(of) = before.get(first as usize) else { return false };
         let same = corners(of.polygon).len() == corners(segment.polygon).len()
             && corners(segment.polygon).all(|p| corners(of.polygon).any(|q| p == q));
-        // The lower slot wins, and polygons are cut in rising order.
+        // The lower slot wins, and polygons are cut in ascending order.
         if same && !of.one_sided && of.polygon < segment.polygon {
             self.all.push(((of.object, of.polygon), *segment));
         }
         same && !of.one_sided && of.polygon < segment.polygon
     }
 
-    /// Appends the copies, each after the last one of its face.
+    /// Appends the copies, each after the last copy of its face.
     fn add_to(self, segments: &mut Vec<Segment>) {
         if self.all.is_empty() {
             return;
@@ -279,13 +234,13 @@ struct Cutter<'a> {
     number: u32,
     height: f64,
     position: f64,
-    /// A corner nearer to the height touches it.
+    /// Corners nearer to the height than this touch it, metres.
     touch: f64,
     world_from_mesh: DAffine3,
     normal_from_mesh: DMat3,
     /// Corners of a polygon in the world, above the height.
     corners: Vec<DVec3>,
-    /// Where it meets the height.
+    /// Points where it crosses the height.
     points: Vec<(DVec2, f64)>,
 }
 
@@ -298,7 +253,7 @@ impl<'a> Cutter<'a> {
         Self { object, number, height, position, touch, world_from_mesh, normal_from_mesh, corners, points }
     }
 
-    /// The segment of a polygon; `None` if it is surely above or below the height.
+    /// The segment of a polygon; `None` if it is certainly above or below the height.
     fn cross(&mut self, polygon: u32) -> Option<Segment> {
         self.corners.clear();
         let (mut least, mut greatest, mut clearance) = (f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY);
@@ -365,8 +320,8 @@ impl<'a> Cutter<'a> {
         }
     }
 
-    /// For a polygon that touches the height: the two most distant points at which it may meet it, and how far others may
-    /// be from the segment between them.
+    /// For a polygon that touches the height: the two most distant points at which it may cross the height, and the
+    /// maximum distance of other points from the segment between them.
     fn around(&self) -> ([DVec2; 2], f64) {
         let (mut points, mut slack) = (Vec::new(), self.touch);
         for (k, p) in self.corners.iter().enumerate() {
@@ -390,12 +345,4 @@ impl<'a> Cutter<'a> {
         let beside = points.iter().map(|p| distance(*p, ends)).fold(0.0, f64::max);
         (ends, slack + beside)
     }
-}
-
-/// Distance of a point from a segment.
-pub(super) fn distance(p: DVec2, [a, b]: [DVec2; 2]) -> f64 {
-    let along = b - a;
-    let length_squared = along.length_squared();
-    let t = if length_squared > 0.0 { ((p - a).dot(along) / length_squared).clamp(0.0, 1.0) } else { 0.0 };
-    p.distance(a + along * t)
 }

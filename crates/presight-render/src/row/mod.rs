@@ -1,14 +1,17 @@
-//! Predictions for a level one-row scanner as a problem of the plane: the world is cut once into segments at its height, and
-//! these are searched in a tree. Images have the bits of other predictions: the search only finds which polygon a beam
-//! meets, and where rounding could decide, the engine does (`cpu::row`). Cuts are kept per version of the world.
+//! Predictions for a level one-row scanner as a problem of the plane. The world is cut once into segments at its
+//! height, and a tree of the segments is searched. Images have the bits of other predictions: the search only finds the
+//! polygon of each beam, and where rounding could decide, the engine does (`cpu::row`). Cuts are kept per version of
+//! the world.
 
 mod cut;
 mod search;
+mod segment;
 mod tree;
 
 pub(crate) use cut::CutObject;
-pub use cut::{MOST_TILT, RowCut, Segment};
+pub use cut::{MAX_TILT, RowCut};
 pub(crate) use search::{NOTHING, RowBeams, RowSearch, RowView, Search, UNSURE};
+pub use segment::Segment;
 
 use glam::DVec3;
 use presight_model::geometry::Pose;
@@ -22,16 +25,16 @@ pub fn is_level(pose: &Pose) -> bool {
     up.z > 0.0 && up.x.abs().max(up.y.abs()) <= 1e-8
 }
 
-/// True if a cut can serve the sensor where it is level.
+/// True if a level sensor of this kind can use a cut.
 pub fn is_row(sensor: &Sensor) -> bool {
     search::row_grid(sensor).is_some()
 }
 
-/// True if a cut can serve such a sensor at this pose.
+/// True if a sensor at this pose can use a cut.
 fn is_exactly_level(pose: &Pose) -> bool {
     let m = pose.rotation_matrix();
     let tilt = [m.x_axis.z, m.y_axis.z, m.z_axis.x, m.z_axis.y];
-    m.z_axis.z > 0.0 && tilt.iter().all(|t| t.abs() <= MOST_TILT)
+    m.z_axis.z > 0.0 && tilt.iter().all(|t| t.abs() <= MAX_TILT)
 }
 
 /// Cuts of one version of the world.
@@ -42,11 +45,11 @@ pub struct RowCuts(Mutex<CutCache>);
 struct CutCache {
     /// [`World::stamp`].
     world: u64,
-    /// Least recently used first.
+    /// Cuts in the order of their last use.
     heights: Vec<CutHeight>,
 }
 
-/// A height at which a class was scanned.
+/// A height and a class that was scanned at it.
 #[derive(Debug)]
 struct CutHeight {
     class: String,
@@ -55,22 +58,23 @@ struct CutHeight {
     cut: Option<Arc<RowCut>>,
 }
 
-/// When a cut that is not kept is made.
+/// Time to make a cut that is not in the cache.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Making {
-    /// Now, for many scans.
+    /// Immediately, for many scans.
     AtOnce,
-    /// When the height has been scanned [`RowCuts::SCANS`] times.
+    /// After [`RowCuts::SCANS`] scans of the height.
     IfOften,
-    /// Not now, for its time is lacking.
+    /// Never, because time is short.
     Never,
 }
 
 impl RowCuts {
     /// Maximum number of heights and classes that are kept.
-    const MOST: usize = 8;
+    const MAX_CUTS: usize = 8;
 
-    /// Single predictions at a height from which on its cut is made: it takes the time of some ten others.
+    /// Number of single predictions at a height after which its cut is made: a cut takes the time of about ten
+    /// predictions.
     pub const SCANS: u32 = 16;
 
     /// Returns the cut that serves a scan, if the sensor is a level one-row scanner.
@@ -99,7 +103,7 @@ impl RowCuts {
         }
         let cut = entry.cut.clone();
         kept.heights.push(entry);
-        if kept.heights.len() > Self::MOST {
+        if kept.heights.len() > Self::MAX_CUTS {
             kept.heights.remove(0);
         }
         cut.filter(|cut| cut.serves(pose.translation.truncate()))

@@ -1,10 +1,11 @@
-//! What the beams of a level scanner meet in a [`RowCut`]: the tree is searched nearest first for tiles of neighbouring
-//! beams, and a segment is tested against eight beams at a time.
+//! The search for the segments of a [`RowCut`] that the beams of a level scanner meet. Tiles of neighbouring beams
+//! search the tree nearest first, and a segment is tested against eight beams at a time.
 //!
-//! A beam is sure of its segment if no error that an engine or the search may make could change it, see
-//! `docs/design/row.md`. Beams that are not sure get candidates, among which an engine decides.
+//! The segment of a beam is certain if no error of an engine or of the search could change it, see
+//! `docs/design/row.md`. Other beams get candidates, among which an engine decides.
 
-use super::cut::{RowCut, Segment, distance};
+use super::cut::RowCut;
+use super::segment::{Segment, distance};
 use super::tree::{Block, Node};
 use glam::DVec2;
 use presight_model::geometry::Pose;
@@ -12,15 +13,15 @@ use presight_model::index::{LEAF, WIDE};
 use presight_model::sensor::{Geometry, LineGrid, PixelGrid, Sensor};
 use pulp::Simd;
 
-/// Groups of eight beams in a tile, at most.
+/// Maximum number of groups of eight beams in a tile.
 const GROUPS: usize = 4;
 
-/// Greatest width of a tile of one group, as the tangent of its angle, and of one with more: a tile is searched to the
-/// farthest of its beams.
+/// Maximum width of a tile of one group, as the tangent of its angle, and of a tile with several groups. The search of
+/// a tile ends at the farthest of its beams.
 const GROUP_WIDTH: f64 = 0.5;
 const TILE_WIDTH: f64 = 0.05;
 
-/// How much more than at both ends of a tile a sine can be between them.
+/// Maximum factor of a sine between the ends of a tile over its value at both ends.
 const BULGE: f64 = 1.04;
 
 /// Rounding of the search and of an engine, relative to distance.
@@ -29,13 +30,13 @@ const ROUNDING: f64 = 64.0 * f64::EPSILON;
 /// Relative margin at the range limit and of nearest distances.
 const SLACK: f64 = 1e-9;
 
-/// The scanner must be off a plane by this part of the distance of its farthest corner; twice what engines need for edges and
-/// depths that are right to 1e-11.
+/// Minimum distance of the scanner from a plane, relative to the distance of the polygon's farthest corner; twice the
+/// distance at which engines have edges and depths right to 1e-11.
 const CLEAR: f64 = 2e-4;
 
 type Eight = [f64; WIDE];
 
-/// The winner of a beam that meets nothing, and that of one for which an engine has to decide.
+/// Winner of a beam without a segment, and winner of a beam for which an engine has to decide.
 pub(crate) const NOTHING: u32 = u32::MAX;
 pub(crate) const UNSURE: u32 = u32::MAX - 1;
 
@@ -48,7 +49,7 @@ pub(crate) struct RowBeams {
     tiles: Vec<Tile>,
 }
 
-/// Neighbouring beams that are searched together.
+/// Neighbouring beams with a common search.
 #[derive(Clone, Copy, Debug)]
 struct Tile {
     count: usize,
@@ -81,7 +82,7 @@ impl RowBeams {
         Some(Self { sensor: sensor.clone(), body, tiles })
     }
 
-    /// True if they are this sensor's.
+    /// True if these are the beams of the sensor.
     pub fn are_of(&self, sensor: &Sensor) -> bool {
         std::ptr::eq(self.sensor.grid(), sensor.grid())
     }
@@ -102,10 +103,10 @@ pub(crate) struct RowView {
     place: DVec2,
     /// The sensor's x and y axes in the world.
     axes: [DVec2; 2],
-    /// Greatest error of a direction, from tilt and from a quaternion that is rounded.
+    /// Maximum error of a direction, from tilt and from the rounding of a quaternion.
     pub wobble: f64,
-    /// Least inverse range of interest: slightly beyond the limit, so that surfaces exactly at the limit are decided by
-    /// their range.
+    /// Minimum inverse range of interest, slightly beyond the limit, so that the range decides about surfaces exactly
+    /// at the limit.
     horizon: f64,
     /// [`RowCut::margin`].
     margin: f64,
@@ -127,7 +128,7 @@ impl RowView {
 pub(crate) struct RowSearch {
     /// For each beam the index of its segment, [`NOTHING`] or [`UNSURE`].
     pub winners: Vec<u32>,
-    /// For every beam that is not sure, all segments that may win it.
+    /// All segments that may win a beam without a certain segment.
     pub candidates: Vec<u32>,
     /// Segments tested against beams.
     pub tested: usize,
@@ -208,11 +209,11 @@ impl Wedge {
 
 /// Results for the beams of a tile.
 struct Found {
-    /// Inverse range of the nearest sure segment: at least, and at most.
+    /// Bounds of the inverse range of the nearest certain segment: lower, then upper.
     low: [Eight; GROUPS],
     high: [Eight; GROUPS],
     segment: [Eight; GROUPS],
-    /// Greatest inverse range that anything else may have.
+    /// Maximum inverse range of other segments.
     rival: [Eight; GROUPS],
 }
 
@@ -232,18 +233,18 @@ impl Found {
         let (group, lane) = (beam / WIDE, beam % WIDE);
         let (segment, rival) = (self.segment[group][lane] as u32, self.rival[group][lane]);
         let least = if segment == NOTHING { horizon } else { self.low[group][lane] };
-        // Surfaces beyond the limit and no surface give the same images.
+        // A surface beyond the limit and a missing surface give the same images.
         let is_sure = rival < least || (segment == NOTHING && rival == 0.0);
         if is_sure { segment } else { UNSURE }
     }
 
-    /// The inverse range from which on a candidate may win a beam.
+    /// Minimum inverse range of a candidate that may win a beam.
     #[inline(always)]
     fn least(&self, beam: usize) -> f64 {
         self.low[beam / WIDE][beam % WIDE]
     }
 
-    /// The least inverse range up to which a beam is not known to be hidden.
+    /// Minimum inverse range at which a beam may be unhidden.
     #[inline(always)]
     fn farthest<S: Simd>(&self, simd: S, groups: usize) -> f64 {
         let mut least = [f64::INFINITY; WIDE];
@@ -305,7 +306,7 @@ impl Trace<'_> {
         }
     }
 
-    /// Pushes the children of a node that may hold something seen, the nearest last.
+    /// Pushes the children of a node that may hold a visible segment, the nearest last.
     #[inline(always)]
     fn enter<S: Simd>(&self, simd: S, node: &Node, farthest: f64, stack: &mut Vec<(f64, u32)>) {
         let slack = self.cut.rounding + (ROUNDING + 2.0 * self.view.wobble) * self.cut.span;
@@ -345,7 +346,8 @@ impl Trace<'_> {
         }
     }
 
-    /// Those segments of a block, a bit each, that may be seen: they may reach into the wedge, and in front of the results so far.
+    /// Segments of a block that may be visible, a bit each: they may reach into the wedge, in front of the results so
+    /// far.
     #[inline(always)]
     fn look<S: Simd>(&self, simd: S, block: &Block, farthest: f64) -> u32 {
         let place = splat(simd, self.view.place);
@@ -380,7 +382,7 @@ impl Trace<'_> {
             );
             let behind = simd.mul_f64s(farthest, simd.sub_f64s(area, rounding));
             let seen = simd.and_m64s(beside, simd.greater_than_or_equal_f64s(depth, behind));
-            // Edge-on: either side may be seen.
+            // Edge-on: either side may be visible.
             let seen = simd.or_m64s(seen, simd.less_than_or_equal_f64s(area, rounding));
             S::as_mut_simd_f64s(&mut open).0[i] = simd.select_f64s(seen, one, zero);
         }
@@ -391,7 +393,7 @@ impl Trace<'_> {
         bits
     }
 
-    /// Adds the segments that may win a beam that is not sure.
+    /// Adds the segments that may win a beam without a certain segment.
     #[cold]
     #[inline(never)]
     fn choose(&self, winners: &[u32], candidates: &mut Vec<u32>) {
@@ -461,13 +463,13 @@ impl Trace<'_> {
     }
 }
 
-/// The same two numbers in all lanes.
+/// A vector of two numbers in all lanes.
 #[inline(always)]
 fn splat<S: Simd>(simd: S, p: DVec2) -> [S::f64s; 2] {
     [simd.splat_f64s(p.x), simd.splat_f64s(p.y)]
 }
 
-/// Vector `i` of points, from a place.
+/// Vector `i` of points, relative to a position.
 #[inline(always)]
 fn from<S: Simd>(simd: S, [x, y]: [&Eight; 2], i: usize, place: [S::f64s; 2]) -> [S::f64s; 2] {
     [simd.sub_f64s(S::as_simd_f64s(x).0[i], place[0]), simd.sub_f64s(S::as_simd_f64s(y).0[i], place[1])]
@@ -483,39 +485,39 @@ fn cross<S: Simd>(simd: S, a: [S::f64s; 2], b: [S::f64s; 2]) -> S::f64s {
     simd.sub_f64s(simd.mul_f64s(a[0], b[1]), simd.mul_f64s(a[1], b[0]))
 }
 
-/// No shorter than the vector.
+/// Upper bound of the length of a vector.
 #[inline(always)]
 fn size<S: Simd>(simd: S, a: [S::f64s; 2]) -> S::f64s {
-    // Pulp's abs is not inlined as a whole.
+    // Pulp's abs is not inlined completely.
     let zero = simd.splat_f64s(0.0);
     simd.add_f64s(simd.max_f64s(a[0], simd.sub_f64s(zero, a[0])), simd.max_f64s(a[1], simd.sub_f64s(zero, a[1])))
 }
 
-/// A segment as seen from the scanner.
+/// A segment in the view of the scanner.
 struct Aim {
-    /// Counter-clockwise, from the scanner.
+    /// The ends relative to the scanner, counter-clockwise.
     ends: [DVec2; 2],
-    /// How far the ends may be off, metres.
+    /// Maximum errors of the ends, metres.
     margins: [f64; 2],
-    /// The inverse range of a beam is its product with this.
+    /// The inverse range of a beam is the dot product of its direction with this.
     plane: DVec2,
     /// Relative error of inverse ranges.
     depth_error: f64,
-    /// Beams between the ends by more than the margins meet it in every engine.
+    /// True if beams between the ends, away from them by more than the margins, meet it in every engine.
     is_sure: bool,
-    /// It is not known on which side the scanner is.
+    /// True if the scanner's side of the plane is uncertain.
     is_edge_on: bool,
-    /// Its depth is not known.
+    /// True if its depth is unknown.
     is_anywhere: bool,
 }
 
 impl Aim {
-    /// `None` if only its back is seen.
+    /// `None` if only its back is visible.
     #[inline(always)]
     fn new(segment: &Segment, view: &RowView) -> Option<Self> {
         let (p, q) = (segment.a - view.place, segment.b - view.place);
         let of = |x: f32| f64::from(x);
-        // No shorter than they are, without a root.
+        // Upper bounds of the lengths, without a root.
         let (length_p, length_q) = (p.x.abs() + p.y.abs(), q.x.abs() + q.y.abs());
         let reach = length_p.max(length_q) + of(segment.extent);
         // Negative if the scanner is on the normal's side.
@@ -534,7 +536,7 @@ impl Aim {
         let is_edge_on = area.abs() <= 2.0 * (margins[0] * length_q + margins[1] * length_p) || apart <= 2.0 * off;
         let per_distance = 1.0 / distance_off;
         let depth_error = 2.0 * off * per_distance.abs();
-        // All other edges are off the beam by more than their rounding.
+        // All other edges are farther from the beam than their rounding.
         let inside = apart * of(segment.shortest) * clearance > 4.0 * error * reach * reach
             && apart * clearance > 8.0 * of(segment.spread) * reach
             && clearance > 2.0 * error;
@@ -546,7 +548,7 @@ impl Aim {
         Some(Self { ends, margins, plane, depth_error, is_sure, is_edge_on, is_anywhere })
     }
 
-    /// The greatest inverse range at which a beam may meet it.
+    /// The maximum inverse range at which a beam may meet it.
     fn nearest(&self, beam: DVec2) -> f64 {
         let [from_p, to_q] = [self.ends[0].perp_dot(beam), beam.perp_dot(self.ends[1])];
         let meets = from_p >= -self.margins[0] && to_q >= -self.margins[1];
@@ -558,7 +560,7 @@ impl Aim {
         }
     }
 
-    /// A polygon that touches the height, somewhere within `slack` metres of its segment.
+    /// A polygon that touches the height somewhere within `slack` metres of its segment.
     #[cold]
     #[inline(never)]
     fn touching(segment: &Segment, view: &RowView, slack: f64) -> Self {

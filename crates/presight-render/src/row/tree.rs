@@ -1,15 +1,15 @@
-//! A tree of the plane, eight wide, over the segments of a cut, by the surface-area heuristic: the number of beams that see
-//! a box is proportional to its perimeter.
+//! An eight-wide tree of the plane over the segments of a cut, by the surface-area heuristic: the number of beams that
+//! see a box is proportional to its perimeter.
 
-use super::cut::Segment;
+use super::segment::Segment;
 use glam::{DVec2, Vec3};
 use presight_model::index::{Item, LEAF, NO_CHILD, WIDE, WideChild, WideTree, halve, widen};
 
-/// Boxes of eight children, in the world. Where there is no child, nothing is inside.
+/// Boxes of eight children, in the world. The boxes of missing children are empty.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
 pub(super) struct Node {
-    /// x, then y.
+    /// Coordinates x, then y.
     pub min: [[f64; WIDE]; 2],
     pub max: [[f64; WIDE]; 2],
     pub child: [u32; WIDE],
@@ -25,23 +25,24 @@ impl Node {
     }
 }
 
-/// Eight segments. Where there is none, its ends are NaN.
+/// Eight segments. The ends of missing segments are NaN.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
 pub(super) struct Block {
-    /// x, then y.
+    /// Coordinates x, then y.
     pub a: [[f64; WIDE]; 2],
     pub b: [[f64; WIDE]; 2],
-    /// No point of a polygon is farther from its segment, metres; infinite if one of them only touches the height.
+    /// Maximum distance of a point of a polygon from its segment, metres; infinite if one of the polygons only touches
+    /// the height.
     pub pad: f64,
     pub first: u32,
     pub count: u32,
 }
 
-/// Nodes and blocks over segments, and these in the order of the blocks.
+/// Builds nodes and blocks over segments. Returns them with the segments in the order of the blocks.
 pub(super) fn grow(segments: Vec<Segment>) -> (Vec<Node>, Vec<Block>, Vec<Segment>) {
     let (min, max) = segments.iter().map(bounds_of).fold(NOWHERE, joined);
-    // Boxes as high as the cut is wide: their surfaces are in proportion to their perimeters.
+    // Boxes as high as the cut is wide, so that their surfaces are proportional to their perimeters.
     let (middle, height) = (0.5 * (min + max), (max - min).max_element() as f32);
     let item = |(id, segment): (u32, &Segment)| {
         let (low, high) = bounds_of(segment);
@@ -68,7 +69,7 @@ impl WideTree for Tree<'_> {
         let (min, max) = ([[f64::INFINITY; WIDE]; 2], [[f64::NEG_INFINITY; WIDE]; 2]);
         let mut node = Node { min, max, child: [NO_CHILD; WIDE] };
         for (lane, child) in children.iter().enumerate() {
-            // The items' own boxes are rounded.
+            // The boxes of the items are rounded, so that they are computed again.
             let all = child.items.iter().map(|item| bounds_of(&self.segments[item.id() as usize]));
             let (min, max) = all.fold(NOWHERE, joined);
             for axis in 0..2 {

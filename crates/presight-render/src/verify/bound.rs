@@ -9,10 +9,10 @@
 //! by eps^2 |c|). M and the three products and sums of each component add 4 roundings: v_k is off by 6 eps |M| |p_k -
 //! c| + eps^2 |M| |c|. n is rounded in the mesh, in N, in the product and by its normalization: `off_n` = 6 eps |N| /
 //! |N n_mesh|. d = n . v of the nearest corner has 3 roundings of its own. In total: `off_d` = 12 eps |M|
-//! min|p - c| (1 + |N| / |N n_mesh|), the term c2 min|v_k| / |d|. In f32 this reaches a thousandth of d if d is a thousandth of |v|,
-//! as over a large floor. Therefore every compute engine sets up polygons flatter than `SET_UP_FINELY` around the
-//! sensor in f64, and eps here is 2^-53 for them; n / d is then rounded once more to f32, which is one of the 6 eps of
-//! the ray and the product below.
+//! min|p - c| (1 + |N| / |N n_mesh|), the term c2 min|v_k| / |d|. In f32 this reaches a thousandth of d if d is a
+//! thousandth of |v|, as over a large floor. Therefore every compute engine sets up polygons flatter than
+//! `SET_UP_FINELY` around the sensor in f64, and eps here is 2^-53 for them; n / d is then rounded once more to f32,
+//! which is one of the 6 eps of the ray and the product below.
 //!
 //! **Plane.** Errors of the polygon itself, not of the engine's arithmetic: corners that deviate from the common plane
 //! by up to `deviation` (allowed by merging and f32 vertices; doubled, because another engine may use another corner

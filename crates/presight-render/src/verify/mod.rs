@@ -25,10 +25,8 @@ use crate::plan::{FramePlan, Images, Instance, Output};
 use crate::reference::instances;
 use pixel::{Lookup, pixel};
 use presight_model::error::{Error, Result};
+use presight_model::limits::LISTED_PROBLEMS;
 use serde::Serialize;
-
-/// Maximum number of faults that are described; further faults are only counted.
-const FAULTS_SHOWN: usize = 20;
 
 /// Result of a comparison.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -81,7 +79,7 @@ impl Report {
             self.worst_pixel = other.worst_pixel;
         }
         self.worst = self.worst.max(other.worst);
-        let room = FAULTS_SHOWN.saturating_sub(self.faults.len());
+        let room = LISTED_PROBLEMS.saturating_sub(self.faults.len());
         self.faults.extend(other.faults.into_iter().take(room));
     }
 
@@ -94,7 +92,7 @@ impl Report {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] with the first fault.
-    pub fn check(&self, most_edge_share: f64) -> Result<()> {
+    pub fn check(&self, max_edge_share: f64) -> Result<()> {
         if let Some(first) = self.faults.first() {
             return Err(Error::invalid(
                 format!("{} of {} pixels are wrong: {}", self.fault, self.pixels, first.why),
@@ -102,10 +100,10 @@ impl Report {
             )
             .at(format!("pixel ({}, {})", first.column, first.row)));
         }
-        if self.edge > 4 && self.edge_share() > most_edge_share {
+        if self.edge > 4 && self.edge_share() > max_edge_share {
             return Err(Error::invalid(
                 format!(
-                    "{} of {} pixels are at edges, more than a share of {most_edge_share:e}",
+                    "{} of {} pixels are at edges, more than a share of {max_edge_share:e}",
                     self.edge, self.pixels
                 ),
                 "the edges deviate too much",
@@ -128,7 +126,7 @@ impl Report {
             PixelClass::Coincident => self.coincident += 1,
             PixelClass::Fault(why) => {
                 self.fault += 1;
-                if self.faults.len() < FAULTS_SHOWN {
+                if self.faults.len() < LISTED_PROBLEMS {
                     self.faults.push(Fault { column: at.0, row: at.1, reference, other, why });
                 }
             }
@@ -314,7 +312,7 @@ impl PixelCheck<'_> {
         let shown_by_reference = |c: &Candidate| fits(reference, None, c).is_some();
         // Relative to the reference's values if both show the same polygon.
         let shown = |c: &Candidate| fits(other, shown_by_reference(c).then_some(reference), c);
-        // Without ids several polygons may fit. One that fits both images makes them the same.
+        // Without ids several polygons may fit. If one of them fits both images, the images agree.
         let common = set.candidates.iter().filter(|c| shown_by_reference(c)).find_map(shown);
         if let Some(shares) = common {
             return PixelClass::Same(shares);

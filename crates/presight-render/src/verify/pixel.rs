@@ -37,7 +37,7 @@ pub struct BoundShares {
     pub cos_incidence: f64,
     /// Share of the echo bound.
     pub echo: f64,
-    /// Largest share of the bound among the normal's components.
+    /// Maximum share of the bound among the normal's components.
     pub normal: f64,
 }
 

@@ -14,7 +14,7 @@ pub type Grid = CellIndex<GridCells>;
 /// a separate list: memory stays linear.
 #[derive(Clone, Debug, Default)]
 pub struct GridCells {
-    /// Least corner relative to the origin, and side of a cell, metres.
+    /// Lower corner relative to the origin, and side of a cell, metres.
     corner: [f32; 2],
     side: f32,
     size: [usize; 2],
@@ -24,9 +24,9 @@ pub struct GridCells {
     wide: Vec<u32>,
 }
 
-/// Most cells that an id may overlap before it moves to the separate list.
+/// Maximum number of cells that an id may overlap before it moves to the separate list.
 const WIDE: usize = 1024;
-/// Most cells per id.
+/// Maximum number of cells per id.
 const CELLS_PER_ID: usize = 2;
 
 /// The queries of a thread, to drop ids found twice.
@@ -143,7 +143,7 @@ impl Cells for GridCells {
         // Square cells. Things on a line have no area, so their length decides.
         let by_area = (extent[0] * extent[1] / cells).sqrt();
         let by_length = extent[0].max(extent[1]) / (CELLS_PER_ID * count + 64) as f64;
-        self.side = (by_area.max(by_length).max(params.least_cell).max(1e-6)) as f32;
+        self.side = (by_area.max(by_length).max(params.min_cell).max(1e-6)) as f32;
         self.corner = [reach.min[0], reach.min[1]];
         self.size = extent.map(|e| (e / f64::from(self.side)) as usize + 1);
         self.cells = vec![Vec::new(); self.size[0] * self.size[1]];

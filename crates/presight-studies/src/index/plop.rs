@@ -88,7 +88,7 @@ impl Cells for PlopCells {
             middles.sort_unstable_by(f32::total_cmp);
             let mut planes: Vec<f32> = (1..slices).map(|i| middles[i * middles.len() / slices]).collect();
             planes.dedup();
-            let least = 2.0 * params.least_cell as f32;
+            let least = 2.0 * params.min_cell as f32;
             let mut last = f32::NEG_INFINITY;
             planes.retain(|p| {
                 let kept = p - last > least;
@@ -136,7 +136,7 @@ impl Cells for PlopCells {
         }
         held.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
         let plane = held[held.len() / 2].0;
-        let least = 2.0 * params.least_cell as f32;
+        let least = 2.0 * params.min_cell as f32;
         let axis = &mut self.axes[k];
         let wide = plane > held[0].0 && held[held.len() - 1].0 - held[0].0 > least;
         axis.slices[at] = Slice::empty(address);

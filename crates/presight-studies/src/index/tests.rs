@@ -168,9 +168,8 @@ fn steps() -> impl Strategy<Value = Vec<Step>> {
 
 fn params() -> impl Strategy<Value = Params> {
     let split_axis = prop_oneof![Just(SplitAxis::Longest), Just(SplitAxis::Alternating)];
-    (prop_oneof![Just(0.0), Just(0.5), Just(20.0)], prop_oneof![Just(1usize), Just(8), Just(32)], split_axis).prop_map(
-        |(least_cell, cell_polygons, split_axis)| Params { least_cell, cell_polygons, split_axis, filter: true },
-    )
+    (prop_oneof![Just(0.0), Just(0.5), Just(20.0)], prop_oneof![Just(1usize), Just(8), Just(32)], split_axis)
+        .prop_map(|(min_cell, cell_polygons, split_axis)| Params { min_cell, cell_polygons, split_axis, filter: true })
 }
 
 proptest! {

@@ -90,7 +90,7 @@ fn strips(leaves: &[Leaf]) -> Markup {
     };
     let all = [
         strip("explained fraction", |l| Some(l.explained)),
-        strip("surfaces of the map count as off by, m", |l| Some(l.model_sigma)),
+        strip("standard deviation of the map's surfaces, m", |l| Some(l.model_sigma)),
         strip("position error, m", |l| l.off.map(|o| o.0)),
         Strip { levels: vec![1.0], logarithmic: true, ..strip("NEES per degree of freedom", |l| l.nees) },
     ];

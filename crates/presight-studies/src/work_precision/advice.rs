@@ -1,6 +1,6 @@
 //! Recommended paths, derived from the rows.
 //!
-//! Nothing is recommended that the study's own repetitions do not separate from noise. Two paths are compared pair by pair: by
+//! A path is recommended only if the study's own repetitions separate it from noise. Two paths are compared pair by pair: by
 //! their times in the same turns, or by their errors at the same features. If they were equal, each would be ahead in half
 //! of the pairs (a sign test). A path is ahead only if chance would put any of the compared paths so far ahead at most once
 //! in twenty studies.

@@ -125,7 +125,7 @@ pub(super) fn compare_images(
     Ok(errors)
 }
 
-/// Adds the distances from each border pixel of one image to the nearest of the other, both ways.
+/// Adds the distances from each border pixel of one image to the nearest of the other, in both directions.
 fn displacement(truth: &Images, other: &Images, errors: &mut ImageErrors) {
     let (a, b) = (borders(truth), borders(other));
     for (from, to) in [(&a, &b), (&b, &a)] {

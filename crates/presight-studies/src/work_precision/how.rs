@@ -1,4 +1,4 @@
-//! How a user selects a path: flags of `presight predict`, keys of the sensor file, or library calls.
+//! The selection of a path by a user: flags of `presight predict`, keys of the sensor file, or library calls.
 
 use super::paths::{EnginePath, Path};
 use super::views::ImageVariant;

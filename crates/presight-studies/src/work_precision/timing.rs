@@ -177,7 +177,7 @@ mod tests {
         assert!(order.len() > 2 + 8, "short paths are warmed up again in each turn: {order:?}");
         order.dedup();
         assert_eq!(order, [0, 1, 0, 1, 0, 1]);
-        // Without patience only the minimum runs; a long path needs no additional warm-up.
+        // Only the minimum runs without patience; a long path needs no additional warm-up.
         let effort = Effort { patience: Duration::ZERO, ..effort };
         let (order, counted, _) = ran(&effort, &[0, 12]);
         assert_eq!(counted, [2, 2]);

@@ -18,8 +18,8 @@ pub struct NearestSurface {
     pub slot: u32,
 }
 
-/// The surface nearest to a point of the world, metres; `None` in a world without polygons. Parts that are marked as absent for
-/// all sensors have no surface.
+/// The surface nearest to a point of the world, metres; `None` in a world without polygons. Parts that are marked as
+/// absent for all sensors are ignored.
 ///
 /// ```
 /// use presight::environment::Environment;
@@ -57,7 +57,7 @@ pub fn surface_distance(world: &World, p: DVec3) -> Result<Option<NearestSurface
                 NearestSurface { distance, object, slot }
             });
         let nearest = each.min_by(|a, b| a.distance.total_cmp(&b.distance));
-        // A surface outside of the box is farther away than the box reaches.
+        // Surfaces outside of the box are farther away.
         if nearest.is_some_and(|n| n.distance <= reach) || reach > farthest {
             return Ok(nearest);
         }

@@ -10,11 +10,11 @@ use std::sync::Arc;
 /// A group of reflectors that a robot can dock at.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dock {
-    /// Path of the group or object that all of its reflectors belong to; empty if they share none.
+    /// Path of the group or object that contains all its reflectors; empty if there is no common one.
     pub name: String,
     /// Sensor class of the layer.
     pub class: String,
-    /// The middle of the reflectors; x is the horizontal part of their mean normal.
+    /// Centre of the reflectors; the x axis is the horizontal part of their mean normal.
     pub world_from_dock: Pose,
     /// Ids of the reflectors and their places in the world, metres.
     pub reflectors: Vec<(u32, DVec3)>,
@@ -27,8 +27,8 @@ struct Reflector {
     normal: Option<DVec3>,
 }
 
-/// Groups of two or more reflectors of all layers, each at most `apart` metres from another of its group, in the order of
-/// their first ids.
+/// Groups of two or more reflectors of all layers by their first ids. Each reflector is at most `apart` metres from
+/// another one of its group.
 ///
 /// # Errors
 /// [`presight_model::ErrorKind::Usage`] for a distance that is not above 0.

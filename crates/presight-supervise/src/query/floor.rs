@@ -1,34 +1,34 @@
 //! Places on free floor.
 
 use super::clip::{clipped, distance_from_above};
-use super::path::PathOptions;
+use super::options::PathOptions;
 use glam::{DVec2, DVec3};
 use presight_model::geometry::Aabb;
 use presight_model::index::{QueryResult, Region};
 use presight_model::world::World;
 use presight_predict::free_poses::height_above;
 
-/// Most that the floor may lie above or below its height at the start, metres; as of virtual sensors.
+/// Maximum height of the floor above or below its height at the start, metres. Virtual sensors use the same value.
 const UNEVEN: f64 = 0.05;
 
-/// What keeps a robot from standing at a place.
+/// The reason why a robot cannot stand at a place.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Obstacle {
     /// An object within the robot's radius.
     Object(u32),
-    /// Something that a sensor saw within the robot's radius.
+    /// An object that a sensor saw within the robot's radius.
     Seen,
-    /// There is no floor.
+    /// The floor is missing.
     NoFloor,
 }
 
-/// The floor of a robot.
+/// The floor on which a robot drives.
 pub struct Floor<'a> {
     pub world: &'a World,
     pub options: &'a PathOptions,
     /// Height of the floor, metres.
     pub height: f64,
-    /// Boxes around things seen on it, world, metres.
+    /// Boxes around objects that sensors saw on it, world, metres.
     pub seen: &'a [Aabb],
 }
 
@@ -36,12 +36,12 @@ impl<'a> Floor<'a> {
     /// The height of the floor below a point; `None` if there is none within reach.
     pub fn height_below(world: &World, p: DVec3) -> Option<f64> {
         let reach = world.environment().bounds().size() + 1.0;
-        // A little above, so that a point on the floor finds it.
+        // Slightly above, so that a point on the floor finds it.
         let from = p + UNEVEN * DVec3::Z;
         height_above(world, from, reach, &mut QueryResult::default()).map(|height| from.z - height)
     }
 
-    /// Why a robot cannot stand at a place; `None` if it can.
+    /// The obstacle at a place; `None` if a robot can stand there.
     pub fn obstacle(&self, p: DVec2, found: &mut QueryResult) -> Option<Obstacle> {
         let (radius, environment) = (self.options.radius, self.world.environment());
         let slab = Aabb {

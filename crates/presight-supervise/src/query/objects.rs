@@ -38,19 +38,20 @@ pub struct ObjectFound {
     pub bounds: Aabb,
     /// Polygons with a point in the part of space.
     pub polygons: usize,
-    /// Least distance along the corridor, metres; `None` for other parts of space.
+    /// Minimum distance along the corridor, metres; `None` for other parts of space.
     pub along: Option<f64>,
     /// Features on it.
     pub features: usize,
-    /// The newest confirmation of these, UTC seconds; `None` without features.
+    /// The newest confirmation of its features, UTC seconds; `None` without features.
     pub confirmed: Option<f64>,
-    /// The least probability of existence of these at the newest confirmation of their layer; `None` without features.
+    /// Minimum probability of existence of its features at the newest confirmation of their layer; `None` without
+    /// features.
     pub existence: Option<f64>,
-    /// Standard deviations of its pose that a layer states: x, y, z, metres, and about them, radians.
+    /// Standard deviations of its pose in a layer: x, y, z in metres, and the rotations about them in radians.
     pub pose_sigmas: Option<[f64; 6]>,
 }
 
-/// Objects with a surface in a part of space, by name, each with its features. Along a corridor: the nearest first.
+/// Objects with a surface in a part of space, each with its features, by name; in a corridor by distance along it.
 ///
 /// ```
 /// use presight::environment::Environment;
@@ -84,7 +85,7 @@ pub fn objects_in(world: &World, place: &Place) -> Result<Vec<ObjectFound>> {
     Ok(objects)
 }
 
-/// Number of polygons, and the least distance along, by object.
+/// Number of polygons, and minimum distance along the corridor, by object.
 type Found = BTreeMap<u32, (usize, Option<f64>)>;
 
 fn count(world: &World, region: &Region, holds: impl Fn(u32, u32) -> bool) -> Found {
@@ -129,8 +130,8 @@ fn along(world: &World, corridor: &Corridor, robot: &Pose) -> Result<Found> {
     robot.check()?;
     let cells = Cells::new(corridor, CELL)?;
     let world_from_corridor = if corridor.frame() == CorridorFrame::World { Pose::IDENTITY } else { *robot };
-    let ([least, most], [low, high]) = (corridor.bounds(), corridor.heights());
-    let bounds = Aabb { min: least.extend(low), max: most.extend(high) };
+    let ([min, max], [low, high]) = (corridor.bounds(), corridor.heights());
+    let bounds = Aabb { min: min.extend(low), max: max.extend(high) };
     let corridor_from_world = world_from_corridor.inverse();
     let environment = world.environment();
     let (mut result, mut found) = (QueryResult::default(), Found::new());
@@ -152,11 +153,12 @@ fn along(world: &World, corridor: &Corridor, robot: &Pose) -> Result<Found> {
     Ok(found)
 }
 
-/// Least distance along of the columns of cells that a polygon inside the box around the corridor meets.
+/// Minimum distance along the corridor of the columns of cells that a polygon inside the box around the corridor
+/// intersects.
 fn first_cell(cells: &Cells, corners: &[DVec3]) -> Option<f64> {
     let around = Aabb::of(corners.iter().copied());
     let mut done = BTreeSet::new();
-    let mut least = None;
+    let mut nearest = None;
     for (column, at) in cells.columns.iter().enumerate() {
         let min = DVec3::from(cells.origin) + DVec3::new(f64::from(at[0]), f64::from(at[1]), 0.0) * cells.side;
         let max = DVec3::new(min.x + cells.side, min.y + cells.side, f64::INFINITY);
@@ -164,10 +166,10 @@ fn first_cell(cells: &Cells, corners: &[DVec3]) -> Option<f64> {
         let near = min.cmple(around.max).all() && max.cmpge(around.min).all();
         if near && done.insert(column) && !clipped(corners.to_vec(), &Aabb { min, max }).is_empty() {
             let along = cells.along[column];
-            least = Some(least.map_or(along, |before: f64| before.min(along)));
+            nearest = Some(nearest.map_or(along, |before: f64| before.min(along)));
         }
     }
-    least
+    nearest
 }
 
 fn found(world: &World, object: u32, polygons: usize, along: Option<f64>) -> ObjectFound {

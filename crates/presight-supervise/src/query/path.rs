@@ -1,6 +1,7 @@
-//! A way on free floor.
+//! Shortest paths on free floor.
 
 use super::floor::{Floor, Obstacle};
+use super::options::PathOptions;
 use glam::{DVec2, DVec3};
 use pathfinding::directed::astar::astar;
 use presight_model::error::{Error, Result};
@@ -10,63 +11,36 @@ use presight_model::world::World;
 use std::cell::RefCell;
 use std::collections::HashMap;
 
-/// A robot on its way.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct PathOptions {
-    /// Radius of the robot seen from above, metres.
-    pub radius: f64,
-    /// Distance between neighbouring places, metres.
-    pub step: f64,
-    /// Height above the floor from which on surfaces are obstacles, metres.
-    pub clearance: f64,
-    /// Height of the robot, metres.
-    pub height: f64,
-}
-
-impl Default for PathOptions {
-    fn default() -> Self {
-        Self { radius: 0.4, step: 0.05, clearance: 0.06, height: 1.8 }
-    }
-}
-
-presight_model::with_options!(
-    PathOptions:
-    with_radius radius: f64,
-    with_step step: f64,
-    with_clearance clearance: f64,
-    with_height height: f64,
-);
-
-/// The answer to a question for a way.
+/// The result of a path search.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FloorPath {
-    /// Points of the way from start to end, world, metres.
+    /// A path from start to end.
     Found {
-        /// On the floor.
+        /// Points on the floor, world, metres.
         points: Vec<DVec3>,
-        /// Metres.
+        /// Length, metres.
         length: f64,
     },
-    /// There is no way.
+    /// No path exists.
     Blocked {
-        /// The reachable place that is nearest to the end.
+        /// The reachable position nearest to the end, world, metres.
         reached: DVec3,
-        /// Metres from there to the end.
+        /// Distance from there to the end, metres.
         missing: f64,
-        /// Path of the object that stands on the straight line from there to the end, if it is one.
+        /// Path of the first object on the straight line from there to the end.
         object: Option<String>,
     },
 }
 
-/// Largest number of places that are looked at.
+/// Maximum number of positions that are evaluated.
 const MAX_PLACES: usize = 4_000_000;
-/// Costs are whole numbers of this length, metres.
+/// Unit of the integer costs, metres.
 const UNIT: f64 = 1e-6;
 
 type At = [i32; 2];
 
-/// Steps to the 8 neighbours, and steps of a knight: a way is at most 2.8 % longer than a straight line.
+/// Steps to the 8 neighbours, and steps of a knight in chess. With them a path is at most 2.8 % longer than a straight
+/// line.
 const STEPS: [At; 16] = [
     [1, 0],
     [1, 1],
@@ -86,8 +60,8 @@ const STEPS: [At; 16] = [
     [2, -1],
 ];
 
-/// A shortest way for a round robot from one point to another on the floor below them, around the objects of the model
-/// and `seen` boxes (world, metres). The floor may be uneven by 5 cm; ramps and stairs do not count as floor.
+/// Finds a shortest path of a round robot from one point to another on the floor below them, around the objects of the
+/// model and around `seen` boxes (world, metres). The floor may be uneven by 5 cm. Ramps and stairs are not floor.
 ///
 /// ```
 /// use presight::environment::Environment;
@@ -99,16 +73,16 @@ const STEPS: [At; 16] = [
 /// environment.add_cuboid("floor", at(0.0, 0.0, -0.1), DVec3::new(8.0, 8.0, 0.2))?;
 /// environment.add_cuboid("wall", at(0.0, 1.0, 1.0), DVec3::new(0.2, 6.0, 2.0))?;
 /// let (from, to) = (DVec3::new(-2.0, 0.0, 0.0), DVec3::new(2.0, 0.0, 0.0));
-/// let way = find_path(&World::new(environment), from, to, &[], &PathOptions::default())?;
+/// let path = find_path(&World::new(environment), from, to, &[], &PathOptions::default())?;
 /// // Around the wall's end at y = -2, 0.4 m away from it.
-/// let FloorPath::Found { length, .. } = way else { unreachable!() };
+/// let FloorPath::Found { length, .. } = path else { unreachable!() };
 /// assert!(length > 6.2 && length < 6.8);
 /// # Ok::<(), presight::Error>(())
 /// ```
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Usage`] for options and points out of range, without a floor below the start, for an end
-/// on another floor, and for a start or an end at which the robot cannot stand, naming the obstacle.
+/// [`presight_model::ErrorKind::Usage`] for options and points out of range, without a floor below the start, for an
+/// end on another floor, and for a start or an end at which the robot cannot stand, naming the obstacle.
 pub fn find_path(world: &World, from: DVec3, to: DVec3, seen: &[Aabb], options: &PathOptions) -> Result<FloorPath> {
     check(options, from, to)?;
     let no_floor = |place: &str, p: DVec3| {
@@ -137,7 +111,7 @@ pub fn find_path(world: &World, from: DVec3, to: DVec3, seen: &[Aabb], options: 
     };
     let found = astar(&[0, 0], neighbours, |at| cost(search.point(*at), search.point(goal)), |at| *at == goal);
     if search.places.borrow().len() >= MAX_PLACES {
-        let what = format!("more than {MAX_PLACES} places were looked at");
+        let what = format!("the search evaluated more than {MAX_PLACES} positions");
         return Err(Error::usage(what, "give a longer step"));
     }
     Ok(match found {
@@ -163,12 +137,12 @@ fn check(options: &PathOptions, from: DVec3, to: DVec3) -> Result<()> {
         }
     }
     match [from, to].iter().find(|p| !p.is_finite()) {
-        Some(p) => Err(Error::usage(format!("a way from or to {p}"), "give finite metres")),
+        Some(p) => Err(Error::usage(format!("a path from or to {p}"), "give finite metres")),
         None => Ok(()),
     }
 }
 
-/// An error that names what keeps the robot from standing at a point.
+/// An error that names the obstacle at a point.
 fn can_stand(floor: &Floor<'_>, p: DVec3) -> Result<()> {
     let what = match floor.obstacle(p.truncate(), &mut QueryResult::default()) {
         None => return Ok(()),
@@ -182,7 +156,7 @@ fn can_stand(floor: &Floor<'_>, p: DVec3) -> Result<()> {
     Err(Error::usage(what, "give a point on free floor, or a smaller radius"))
 }
 
-/// Places around the start, looked at when the search comes to them.
+/// Positions around the start, which are evaluated when the search reaches them.
 struct GridSearch<'a> {
     floor: Floor<'a>,
     from: DVec2,
@@ -211,7 +185,7 @@ impl GridSearch<'_> {
         is_free
     }
 
-    /// A step is free if the places that it passes are.
+    /// True if the positions that a step passes are free.
     fn is_free_step(&self, [x, y]: At, [dx, dy]: At) -> bool {
         let passes = |a: At| self.is_free([x + a[0], y + a[1]]);
         let between = match (dx.abs(), dy.abs()) {
@@ -222,7 +196,7 @@ impl GridSearch<'_> {
         passes([dx, dy]) && between.into_iter().all(passes)
     }
 
-    /// The answer if the search has come no nearer to the end than this place.
+    /// The result if this is the reachable position nearest to the end.
     fn blocked(&self, nearest: At, to: DVec3, height: f64) -> FloorPath {
         let reached = self.point(nearest);
         let target = to.truncate();
@@ -243,11 +217,11 @@ impl GridSearch<'_> {
 
 fn found_path(search: &GridSearch<'_>, places: &[At], to: DVec3, height: f64) -> FloorPath {
     let mut points: Vec<DVec3> = places.iter().map(|at| search.point(*at).extend(height)).collect();
-    // The end need not lie on the grid.
+    // The end may be off the grid.
     if let Some(last) = points.last_mut() {
         *last = to.truncate().extend(height);
     }
-    // Points on one straight line are left out.
+    // Inner points of straight lines are left out.
     let mut kept: Vec<DVec3> = Vec::new();
     for p in points {
         let is_straight = |a: DVec3, b: DVec3| (b - a).normalize_or_zero().distance((p - b).normalize_or_zero()) < 1e-6;

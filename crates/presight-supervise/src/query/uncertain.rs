@@ -1,4 +1,4 @@
-//! What the model is not sure of.
+//! Uncertain features and objects.
 
 use glam::DVec3;
 use presight_model::environment::{Existence, MarkKind};
@@ -6,43 +6,43 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::world::World;
 
-/// Which features count as uncertain.
+/// The threshold of uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct UncertainOptions {
     /// Probability of existence below which a feature is uncertain.
-    pub least_existence: f64,
+    pub min_existence: f64,
     /// Time at which existence is evaluated, UTC seconds; `None` for the newest confirmation of each layer.
     pub time: Option<f64>,
-    /// Features that were not confirmed since then are uncertain, UTC seconds; `None` to ask for existence alone.
+    /// Features that were not confirmed since then are uncertain, UTC seconds; `None` to use their existence alone.
     pub since: Option<f64>,
 }
 
 impl Default for UncertainOptions {
     fn default() -> Self {
-        Self { least_existence: 0.5, time: None, since: None }
+        Self { min_existence: 0.5, time: None, since: None }
     }
 }
 
 presight_model::with_options!(
     UncertainOptions:
-    with_least_existence least_existence: f64,
+    with_min_existence min_existence: f64,
     with_time time: Option<f64>,
     with_since since: Option<f64>,
 );
 
-/// Why a feature or an object is uncertain.
+/// The reason why a feature or an object is uncertain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Doubt {
-    /// A mark says so.
+pub enum UncertaintyReason {
+    /// A mark states it.
     Marked(MarkKind),
-    /// It probably does not exist any more.
+    /// Its probability of existence is low.
     LowExistence,
-    /// It was not confirmed for long.
+    /// Its last confirmation is old.
     NotConfirmed,
 }
 
-impl Doubt {
+impl UncertaintyReason {
     /// The name in files.
     pub fn name(self) -> &'static str {
         match self {
@@ -64,14 +64,14 @@ pub struct UncertainFeature {
     pub name: Option<String>,
     /// Path of its object; `None` if it belongs to the world.
     pub object: Option<String>,
-    /// Its first point in the world, metres.
+    /// Its first point, world, metres.
     pub at: DVec3,
     /// Probability of existence at the time.
     pub existence: f64,
     /// Last confirmation, UTC seconds.
     pub confirmed: f64,
     /// Why it is uncertain.
-    pub doubt: Doubt,
+    pub doubt: UncertaintyReason,
 }
 
 /// An object that is uncertain.
@@ -79,7 +79,7 @@ pub struct UncertainFeature {
 pub struct UncertainObject {
     /// Its path.
     pub object: String,
-    /// Name of the mark that says so; `None` if the trust in the object does.
+    /// Name of the mark that states it; `None` if the trust in the object is low.
     pub mark: Option<String>,
     /// Sensor class that the mark concerns; `None` for all.
     pub class: Option<String>,
@@ -88,7 +88,7 @@ pub struct UncertainObject {
     /// Last confirmation, UTC seconds, if one is stored.
     pub confirmed: Option<f64>,
     /// Why it is uncertain.
-    pub doubt: Doubt,
+    pub doubt: UncertaintyReason,
 }
 
 impl UncertainOptions {
@@ -96,22 +96,23 @@ impl UncertainOptions {
         if [self.time, self.since].into_iter().flatten().any(|time| !time.is_finite()) {
             return Err(Error::usage("a time that is not finite", "give UTC seconds"));
         }
-        if !(0.0..=1.0).contains(&self.least_existence) {
-            return Err(Error::usage(format!("an existence of {}", self.least_existence), "give 0 to 1"));
+        if !(0.0..=1.0).contains(&self.min_existence) {
+            return Err(Error::usage(format!("an existence of {}", self.min_existence), "give 0 to 1"));
         }
         Ok(())
     }
 
-    /// Why something with this existence is uncertain; `None` if it is not. `newest` is the time if none is given.
-    fn doubt(&self, existence: &Existence, newest: f64) -> Option<Doubt> {
-        if existence.at(self.time.unwrap_or(newest)) < self.least_existence {
-            return Some(Doubt::LowExistence);
+    /// The reason for a feature or object with this existence; `None` if it is certain. `newest` is used without a time
+    /// in the options.
+    fn doubt(&self, existence: &Existence, newest: f64) -> Option<UncertaintyReason> {
+        if existence.at(self.time.unwrap_or(newest)) < self.min_existence {
+            return Some(UncertaintyReason::LowExistence);
         }
-        self.since.filter(|since| existence.confirmed < *since).map(|_| Doubt::NotConfirmed)
+        self.since.filter(|since| existence.confirmed < *since).map(|_| UncertaintyReason::NotConfirmed)
     }
 }
 
-/// Objects that are marked, or that the model does not trust to exist: marks by name, then objects by path.
+/// Objects with a mark by the name of the mark, then objects with a low trust by path.
 ///
 /// # Errors
 /// As [`uncertain_features`].
@@ -128,7 +129,7 @@ pub fn uncertain_objects(world: &World, options: &UncertainOptions) -> Result<Ve
             class: mark.class.clone(),
             existence: trust.map(|t| t.at(time)),
             confirmed: trust.map(|t| t.confirmed),
-            doubt: Doubt::Marked(mark.kind),
+            doubt: UncertaintyReason::Marked(mark.kind),
         }
     });
     let doubted = environment.trusts().filter_map(|(object, trust)| {
@@ -144,7 +145,7 @@ pub fn uncertain_objects(world: &World, options: &UncertainOptions) -> Result<Ve
     Ok(marked.chain(doubted).collect())
 }
 
-/// Features of all layers that are uncertain, the least probable first.
+/// Uncertain features of all layers by rising probability of existence.
 ///
 /// # Errors
 /// [`presight_model::ErrorKind::Usage`] for times that are not finite, and a probability outside 0 to 1.

@@ -90,7 +90,7 @@ fn the_docks_of_the_charging_bay_are_found() {
     }
     assert!(docks(&scene.world, 0.1).unwrap().is_empty());
     assert!(docks(&scene.world, f64::NAN).is_err());
-    let uncertain = uncertain_features(&scene.world, &UncertainOptions::default().with_least_existence(0.95)).unwrap();
+    let uncertain = uncertain_features(&scene.world, &UncertainOptions::default().with_min_existence(0.95)).unwrap();
     assert_eq!(uncertain.iter().map(|u| u.name.as_deref()).collect::<Vec<_>>(), [Some("chipped edge")]);
     let since = UncertainOptions::default().with_since(Some(1.0));
     assert!(uncertain_features(&scene.world, &since).unwrap().len() > 6, "none was ever confirmed");
@@ -203,7 +203,8 @@ fn ways_that_cannot_be_say_why() {
     assert!(points.iter().any(|p| p.y.abs() > 1.2), "around it");
 }
 
-/// A wall that is marked as absent for all sensors counts neither as a surface nor as an obstacle. One that a laser alone misses counts as both.
+/// A wall that is marked as absent for all sensors counts neither as a surface nor as an obstacle. One that a laser
+/// alone misses counts as both.
 #[test]
 fn absent_objects_are_not_in_the_way() {
     use presight_model::environment::{Mark, MarkKind};
@@ -226,7 +227,7 @@ fn absent_objects_are_not_in_the_way() {
 #[test]
 fn marks_and_little_trust_are_uncertain() {
     use presight_model::environment::{Existence, Mark, MarkKind};
-    use presight_supervise::query::Doubt;
+    use presight_supervise::query::UncertaintyReason;
     let mut environment = scenes::empty();
     for name in ["old", "new", "gone"] {
         environment.add_cuboid(name, at(0.0, 0.0, 0.0), DVec3::ONE).unwrap();
@@ -237,12 +238,12 @@ fn marks_and_little_trust_are_uncertain() {
     let mark = Mark { object: "gone".to_owned(), kind: MarkKind::Absent, class: None, bounds: None };
     environment.set_mark("m1", mark).unwrap();
     let world = World::new(environment);
-    let found = |options: &UncertainOptions| -> Vec<(String, Doubt)> {
+    let found = |options: &UncertainOptions| -> Vec<(String, UncertaintyReason)> {
         uncertain_objects(&world, options).unwrap().into_iter().map(|o| (o.object, o.doubt)).collect()
     };
-    let marked = ("gone".to_owned(), Doubt::Marked(MarkKind::Absent));
-    let old = ("old".to_owned(), Doubt::LowExistence);
+    let marked = ("gone".to_owned(), UncertaintyReason::Marked(MarkKind::Absent));
+    let old = ("old".to_owned(), UncertaintyReason::LowExistence);
     assert_eq!(found(&UncertainOptions::default()), [marked.clone(), old.clone()]);
     let since = UncertainOptions::default().with_since(Some(30.0));
-    assert_eq!(found(&since), [marked, ("new".to_owned(), Doubt::NotConfirmed), old]);
+    assert_eq!(found(&since), [marked, ("new".to_owned(), UncertaintyReason::NotConfirmed), old]);
 }

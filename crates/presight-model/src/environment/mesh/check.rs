@@ -1,14 +1,10 @@
 //! What a mesh asks of its vertices and polygons.
 
-use super::{Polygon, PolygonRecord};
+use super::polygon::{Polygon, PolygonRecord};
 use crate::error::{Error, Result};
-use crate::geometry::{Aabb, Plane, plane_of_loop};
+use crate::geometry::{Aabb, PLANARITY, Plane, plane_of_loop};
 use crate::limits;
 use glam::{DVec3, Vec3};
-
-/// Allowed distance of a vertex from its polygon's plane, relative to the polygon's largest coordinate extent. Covers
-/// f32 rounding of planar polygons and the residual of merging.
-const PLANARITY: f64 = 4e-6;
 
 pub fn check_vertices(vertices: &[Vec3]) -> Result<()> {
     let sound = |x: &f32| x.abs() <= limits::MAX_COORDINATE as f32;

@@ -2,8 +2,12 @@
 
 mod check;
 mod order;
+mod parts;
+pub(super) mod polygon;
 
 pub use check::canonical_plane;
+pub use parts::Parts;
+pub use polygon::{Cluster, Polygon, PolygonOrder, PolygonRecord};
 
 use super::cluster_vertices::ClusterVertices;
 use crate::error::{Error, Result};
@@ -14,112 +18,6 @@ use check::{check_polygon, check_records, check_vertices};
 use glam::{DMat3, DVec3, Vec3};
 use order::{cuts_of, spatial_sequence};
 use std::sync::{Arc, OnceLock};
-
-/// A planar convex polygon, for [`Mesh::new`].
-#[derive(Clone, Debug, PartialEq)]
-pub struct Polygon {
-    /// Vertex indices in winding order, at least 3.
-    pub corners: Vec<u32>,
-    /// Index of the material in the environment.
-    pub material: u16,
-    /// Number of the (first) source triangle within the object.
-    pub source: u32,
-}
-
-impl Polygon {
-    /// A polygon that is its own source.
-    pub fn new(corners: Vec<u32>, material: u16) -> Self {
-        Self { corners, material, source: 0 }
-    }
-}
-
-/// The order in which a mesh stores its polygons.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PolygonOrder {
-    /// Neighbours together, so that clusters have small boxes. Use this except for comparisons.
-    Spatial,
-    /// The given order, so that slots rise with source numbers.
-    Given,
-}
-
-/// A stored polygon: the position of its corners in the corner list, and its attributes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PolygonRecord {
-    /// Position of its first corner in the corner list.
-    pub first_corner: u32,
-    /// Number of its first source triangle within the object.
-    pub source: u32,
-    /// Material index.
-    pub material: u16,
-    /// Number of its corners.
-    pub corner_count: u8,
-}
-
-impl PolygonRecord {
-    /// The polygon's corners, out of the corners of the mesh.
-    #[inline]
-    pub fn corners(self, all: &[u32]) -> &[u32] {
-        let first = self.first_corner as usize;
-        &all[first..first + usize::from(self.corner_count)]
-    }
-
-    /// Least and greatest coordinates of its corners.
-    #[inline]
-    pub fn extent(self, all: &[u32], vertices: &[Vec3]) -> (Vec3, Vec3) {
-        let own = self.corners(all);
-        // Nearly all polygons have three or four corners: avoids a mispredicted branch between the two.
-        let fourth = own[3.min(own.len() - 1)];
-        let at = |corner: u32| vertices[corner as usize];
-        let (a, b, c, d) = (at(own[0]), at(own[1]), at(own[2]), at(fourth));
-        let mut extent = (a.min(b).min(c.min(d)), a.max(b).max(c.max(d)));
-        if own.len() > 4 {
-            for &corner in &own[4..] {
-                extent = (extent.0.min(at(corner)), extent.1.max(at(corner)));
-            }
-        }
-        extent
-    }
-
-    fn bounds(self, all: &[u32], vertices: &[Vec3]) -> Aabb {
-        let (min, max) = self.extent(all, vertices);
-        Aabb { min: min.as_dvec3(), max: max.as_dvec3() }
-    }
-}
-
-/// Polygons without an order yet: records and planes over one list of corners.
-#[derive(Debug, Default)]
-pub struct Parts {
-    /// Vertex indices, polygon by polygon.
-    pub corners: Vec<u32>,
-    /// The polygons.
-    pub records: Vec<PolygonRecord>,
-    /// The plane of each polygon.
-    pub planes: Vec<Plane>,
-}
-
-impl Parts {
-    /// Appends a polygon; its plane is worked out here.
-    pub fn push(&mut self, corners: &[u32], material: u16, source: u32, vertices: &[Vec3]) {
-        // Triangles without area never came here, and merging only adds area.
-        let plane = canonical_plane(corners.len(), |k| vertices[corners[k] as usize].as_dvec3());
-        debug_assert!(plane.is_some(), "polygon without area");
-        let first_corner = self.corners.len() as u32;
-        self.records.push(PolygonRecord { first_corner, source, material, corner_count: corners.len() as u8 });
-        self.corners.extend_from_slice(corners);
-        self.planes.push(plane.unwrap_or(Plane { normal: DVec3::Z, offset: 0.0 }));
-    }
-}
-
-/// A contiguous run of a mesh's polygons with its box.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Cluster {
-    /// First polygon.
-    pub first: u32,
-    /// Number of polygons, at most [`limits::CLUSTER_POLYGONS`].
-    pub count: u32,
-    /// Bounds in the mesh frame.
-    pub bounds: Aabb,
-}
 
 /// Polygons over shared f32 vertices in the mesh's own frame, metres.
 ///
@@ -296,7 +194,7 @@ impl Mesh {
         Ok(Self { name, vertices, corners, polygons, planes, clusters, bounds, materials, by_cluster, ray_tree })
     }
 
-    /// The same polygons with other materials.
+    /// A mesh of the same polygons with other materials.
     pub fn with_materials(&self, material: impl Fn(u16) -> u16) -> Self {
         let mut mesh = self.clone();
         mesh.polygons.iter_mut().for_each(|p| p.material = material(p.material));
@@ -304,8 +202,8 @@ impl Mesh {
         mesh
     }
 
-    /// The same polygons, transformed and with other materials, rounded to f32 once. A mirror reverses the windings, so
-    /// that fronts stay fronts, as in a mirrored object.
+    /// A mesh of the same polygons, transformed and with other materials, rounded to f32 once. A mirror reverses the
+    /// windings, so that fronts stay fronts, as in a mirrored object.
     ///
     /// # Errors
     /// Those of [`Mesh::new`]: rounding may flatten tiny polygons.
@@ -418,12 +316,13 @@ impl Mesh {
         self.ray_tree.get().map(|tree| &**tree)
     }
 
-    /// Built on the first call, some 0.6 us a triangle on one thread; by all threads of a pool if called on one of them.
+    /// Built on the first call, some 0.6 us a triangle on one thread; by all threads of a pool if called on one of
+    /// them.
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if there is no memory for it.
     pub fn ray_tree(&self) -> Result<&RayTree> {
-        // Not within the cell: a thread that helps others on the way may come here again.
+        // Not within the cell: a thread that takes other tasks while it waits may come here again.
         if self.ray_tree.get().is_none() {
             let _ = self.ray_tree.set(Arc::new(RayTree::new(self)?));
         }

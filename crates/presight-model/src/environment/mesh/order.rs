@@ -1,6 +1,6 @@
 //! The order of polygons in a mesh, and the cuts between its clusters.
 
-use super::PolygonOrder;
+use super::polygon::PolygonOrder;
 use crate::geometry::Aabb;
 use crate::limits;
 use crate::threads::parallel_or_here;

@@ -1,4 +1,5 @@
-//! Binned halving by the surface-area heuristic (Wald 2007), and eight-wide nodes out of what comes of it (Wald, Benthin, Boulos 2008).
+//! Binned halving by the surface-area heuristic (Wald 2007), and eight-wide nodes made of the halves (Wald, Benthin,
+//! Boulos 2008).
 
 use super::WIDE;
 use glam::{Vec3, Vec4};
@@ -41,13 +42,13 @@ pub struct Half {
 
 const BINS: usize = 16;
 
-/// So many items get half as many bins.
+/// Up to this number of items, half as many bins are used.
 const FEW: usize = 128;
 
-/// Depth from which halves are equal, so that no input makes the tree deep.
+/// Depth from which halves have equal counts, so that no input makes the tree deeper than about twice this.
 const DEEP: u32 = 96;
 
-/// More items are halved by several threads, where there are some.
+/// A larger number of items is halved by several threads, if there are any.
 const PARALLEL: usize = 1 << 15;
 
 #[derive(Clone, Copy)]
@@ -86,19 +87,19 @@ fn area(low: Vec4, high: Vec4) -> f32 {
     d.x * d.y + d.y * d.z + d.z * d.x
 }
 
-/// Halves until no leaf has more than `most` items, which are ordered on the way. The first node is the root.
-pub fn halve(items: &mut [Item], most: usize) -> Vec<Half> {
-    if items.is_empty() { Vec::new() } else { grow(items, 0, most, 0) }
+/// Halves and sorts the items until no leaf has more than `max_leaf`. The first node is the root.
+pub fn halve(items: &mut [Item], max_leaf: usize) -> Vec<Half> {
+    if items.is_empty() { Vec::new() } else { grow(items, 0, max_leaf, 0) }
 }
 
-fn grow(items: &mut [Item], first: u32, most: usize, depth: u32) -> Vec<Half> {
-    let mut nodes = Vec::with_capacity(items.len().div_ceil(most.div_ceil(2)) * 2);
+fn grow(items: &mut [Item], first: u32, max_leaf: usize, depth: u32) -> Vec<Half> {
+    let mut nodes = Vec::with_capacity(items.len().div_ceil(max_leaf.div_ceil(2)) * 2);
     if items.len() > PARALLEL && rayon::current_thread_index().is_some() {
-        let middle = split(items, extent(items), most, depth);
+        let middle = split(items, extent(items), max_leaf, depth);
         let (left, right) = items.split_at_mut(middle.1);
         let (mut left, right) = rayon::join(
-            || grow(left, first, most, depth + 1),
-            || grow(right, first + middle.1 as u32, most, depth + 1),
+            || grow(left, first, max_leaf, depth + 1),
+            || grow(right, first + middle.1 as u32, max_leaf, depth + 1),
         );
         let (before, after) = (1, 1 + left.len() as u32);
         let moved = |node: &Half, by: u32| Half { children: node.children.map(|c| c.map(|c| c + by)), ..*node };
@@ -109,19 +110,19 @@ fn grow(items: &mut [Item], first: u32, most: usize, depth: u32) -> Vec<Half> {
         nodes.extend(right.iter().map(|node| moved(node, after)));
         return nodes;
     }
-    grow_here(items, first, most, depth, &mut nodes);
+    grow_here(items, first, max_leaf, depth, &mut nodes);
     nodes
 }
 
-fn grow_here(items: &mut [Item], first: u32, most: usize, depth: u32, nodes: &mut Vec<Half>) -> u32 {
+fn grow_here(items: &mut [Item], first: u32, max_leaf: usize, depth: u32, nodes: &mut Vec<Half>) -> u32 {
     let around = extent(items);
     let (at, count) = (nodes.len() as u32, items.len() as u32);
     nodes.push(Half { low: around.low, high: around.high, first, count, children: None });
-    if items.len() > most {
-        let (_, middle) = split(items, around, most, depth);
+    if items.len() > max_leaf {
+        let (_, middle) = split(items, around, max_leaf, depth);
         let (left, right) = items.split_at_mut(middle);
-        let left = grow_here(left, first, most, depth + 1, nodes);
-        let right = grow_here(right, first + middle as u32, most, depth + 1, nodes);
+        let left = grow_here(left, first, max_leaf, depth + 1, nodes);
+        let right = grow_here(right, first + middle as u32, max_leaf, depth + 1, nodes);
         nodes[at as usize].children = Some([left, right]);
     }
     at
@@ -133,8 +134,8 @@ fn extent(items: &[Item]) -> Extent {
     all
 }
 
-/// Orders the items by the best plane between bins; the answer is how many lie before it.
-fn split(items: &mut [Item], around: Extent, most: usize, depth: u32) -> (Extent, usize) {
+/// Sorts the items by the best plane between bins. Returns the number of items before it.
+fn split(items: &mut [Item], around: Extent, max_leaf: usize, depth: u32) -> (Extent, usize) {
     let n = items.len();
     let (mut low, mut high) = (Vec4::INFINITY, Vec4::NEG_INFINITY);
     for item in &*items {
@@ -156,7 +157,7 @@ fn split(items: &mut [Item], around: Extent, most: usize, depth: u32) -> (Extent
             }
         }
         for axis in 0..3 {
-            let found = best_plane(&all[axis][..bins], &counts[axis][..bins], most);
+            let found = best_plane(&all[axis][..bins], &counts[axis][..bins], max_leaf);
             if let Some((cost, plane)) = found
                 && best.is_none_or(|(least, ..)| cost < least)
             {
@@ -185,10 +186,11 @@ fn halves(items: &mut [Item], low: Vec4, high: Vec4) -> usize {
     middle
 }
 
-/// The least cost, and the bin before which it is found: surfaces times blocks of half of `most`, for blocks are seldom full.
+/// The minimum cost and the bin after its plane. The cost is area times the number of blocks of half of `max_leaf`,
+/// because blocks are seldom full.
 #[inline(always)]
-fn best_plane(bins: &[Extent], counts: &[u32], most: usize) -> Option<(f32, usize)> {
-    let blocks = |count: u32| (count as usize).div_ceil(most.div_ceil(2)) as f32;
+fn best_plane(bins: &[Extent], counts: &[u32], max_leaf: usize) -> Option<(f32, usize)> {
+    let blocks = |count: u32| (count as usize).div_ceil(max_leaf.div_ceil(2)) as f32;
     let mut behind = [(0.0, 0); BINS];
     let (mut held, mut count) = (Extent::NONE, 0);
     for i in (1..bins.len()).rev() {
@@ -214,9 +216,9 @@ fn best_plane(bins: &[Extent], counts: &[u32], most: usize) -> Option<(f32, usiz
 
 /// A child of an eight-wide node: its box, and its items.
 pub struct WideChild<'a> {
-    /// Least corner.
+    /// Minimum corner.
     pub low: Vec3,
-    /// Greatest corner.
+    /// Maximum corner.
     pub high: Vec3,
     /// All items below it.
     pub items: &'a [Item],
@@ -224,7 +226,7 @@ pub struct WideChild<'a> {
 
 /// A tree of eight-wide nodes that grows from its root.
 pub trait WideTree {
-    /// Adds a node around its children, at most [`WIDE`], and returns its number. The children have no names yet.
+    /// Adds a node around its children, at max_leaf [`WIDE`], and returns its number. The children have no names yet.
     fn add_node(&mut self, children: &[WideChild<'_>]) -> u32;
 
     /// Adds a leaf and returns its name.
@@ -245,7 +247,7 @@ fn add_below(halves: &[Half], items: &[Item], at: u32, tree: &mut impl WideTree)
     let mut own = [0; WIDE];
     let mut count = 1;
     own[0] = at;
-    // The largest one makes way for its children until there are eight.
+    // The largest one is replaced by its children until there are eight.
     while count < WIDE {
         let large = (0..count)
             .filter(|i| halves[own[*i] as usize].children.is_some())

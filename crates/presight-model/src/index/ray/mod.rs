@@ -1,6 +1,6 @@
 //! Trees for rays: eight-wide nodes over the triangles of a mesh, in the mesh's frame, and over the objects of a world.
 //!
-//! Boxes are f32, rounded outward. A tree keeps an order of its own: polygons, slots and clusters keep theirs.
+//! Boxes are f32, rounded outward. Trees have their own order of triangles; polygons, slots and clusters keep theirs.
 
 mod build;
 
@@ -24,9 +24,9 @@ pub const NO_CHILD: u32 = u32::MAX;
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub struct RayNode {
-    /// Least corners, by axis.
+    /// Minimum corners, by axis.
     pub low: [[f32; WIDE]; 3],
-    /// Greatest corners, by axis.
+    /// Maximum corners, by axis.
     pub high: [[f32; WIDE]; 3],
     /// Number of a node, or [`LEAF`] with another number, or [`NO_CHILD`].
     pub children: [u32; WIDE],
@@ -38,50 +38,50 @@ pub struct RayNode {
 pub struct TriangleBlock {
     /// First corners relative to `base`, by axis.
     pub corner: [[f32; WIDE]; 3],
-    /// From the first corner to the second and to the third one, by axis.
+    /// Edges from the first corner to the second and to the third one, by axis.
     pub edges: [[[f32; WIDE]; 3]; 2],
     /// Polygon of each triangle.
     pub polygons: [u32; WIDE],
-    /// Relative to the tree's origin.
+    /// Position relative to the tree's origin.
     pub base: [f32; 3],
-    /// No corner is farther from `base`.
+    /// Maximum distance of the corners from `base`.
     pub diagonal: f32,
-    /// How far apart the corners of its polygons are along the normal, at most.
+    /// Maximum distance between corners of one of its polygons along the normal.
     pub spread: f32,
-    /// Triangles; the rest of the lanes is empty.
+    /// Number of triangles; the other lanes are empty.
     pub count: u32,
 }
 
 /// The triangles of a mesh.
 #[derive(Clone, Debug)]
 pub struct RayTree {
-    /// The first one is the root; none if there are no triangles.
+    /// The first node is the root; empty if there are no triangles.
     pub nodes: Vec<RayNode>,
-    /// What leaves name.
+    /// Blocks, to which leaves refer by index.
     pub blocks: Vec<TriangleBlock>,
-    /// Boxes are relative to it.
+    /// Origin of the boxes, in the frame of the mesh.
     pub origin: DVec3,
-    /// No coordinate of a box is greater.
+    /// Maximum absolute coordinate of the boxes.
     pub reach: f32,
 }
 
 /// The objects of a world: leaves name them by index.
 #[derive(Clone, Debug)]
 pub struct ObjectTree {
-    /// The first one is the root; none if there are no polygons.
+    /// The first node is the root; empty if there are no polygons.
     pub nodes: Vec<RayNode>,
-    /// Boxes are relative to it.
+    /// Origin of the boxes, in the world.
     pub origin: DVec3,
-    /// No coordinate of a box is greater.
+    /// Maximum absolute coordinate of the boxes.
     pub reach: f32,
 }
 
-/// Bytes that building takes for each triangle: an item, and half a node of two children.
+/// Memory for building, bytes per triangle: an item, and half a node of two children.
 const BUILDING: u64 = 80;
 
 impl RayTree {
     /// # Errors
-    /// [`crate::ErrorKind::System`] if there is no memory for it.
+    /// [`crate::ErrorKind::System`] if memory is short.
     pub fn new(mesh: &Mesh) -> Result<Self> {
         let triangles: u64 = mesh.polygons().iter().map(|p| u64::from(p.corner_count) - 2).sum();
         if triangles > 100_000 {
@@ -134,7 +134,7 @@ impl ObjectTree {
         let all = boxes.iter().fold(crate::geometry::Aabb::EMPTY, |all, (_, b)| all.union(*b));
         let origin = if all.is_empty() { DVec3::ZERO } else { all.center() };
         let item = |(id, b): &(u32, crate::geometry::Aabb)| {
-            // The subtraction rounds, too.
+            // Covers the rounding of the subtraction.
             let slack = f64::EPSILON * (b.min.abs().max(b.max.abs()) + origin.abs());
             Item::new(outward(b.min - origin - slack, false), outward(b.max - origin + slack, true), *id)
         };
@@ -150,7 +150,7 @@ impl ObjectTree {
     }
 }
 
-/// Nodes of a tree whose leaves a function names.
+/// A tree under construction. `leaf` returns the reference of each leaf.
 struct RayNodes<L> {
     nodes: Vec<RayNode>,
     leaf: L,
@@ -184,15 +184,15 @@ fn nodes_of(halves: &[Half], items: &[Item], leaf: impl FnMut(&[Item]) -> u32) -
     tree.nodes
 }
 
-/// Finds polygons that no ray ever sees, because an earlier one has the same corners in the same order, the same plane and the same
-/// material: edges and inverse depths have the same bits, and the earlier one wins ties.
+/// Finds polygons that no ray ever sees, because an earlier one has the same corners in the same order, the same plane
+/// and the same material: edges and inverse depths have the same bits, and the earlier polygon wins ties.
 struct Copies<'a> {
     mesh: &'a Mesh,
     /// Polygons by a hash of their corners.
     table: Vec<u32>,
 }
 
-/// Places of the table that are looked at. A copy that is not found among them costs time only.
+/// Number of table entries to probe. A copy that is not found among them only costs time.
 const PROBES: usize = 8;
 
 impl<'a> Copies<'a> {
@@ -213,7 +213,7 @@ impl<'a> Copies<'a> {
         corners.iter().zip(corners.iter().cycle().skip(1)).map(|(a, b)| a < b)
     }
 
-    /// Notes a polygon, unless it is a copy of one before.
+    /// True for a copy of an earlier polygon. Records the polygon otherwise.
     fn is_copy(&mut self, polygon: u32) -> bool {
         let mix = |hash: u64, p: Vec3| {
             let [x, y, z] = p.to_array().map(|c| u64::from(c.to_bits()));
@@ -282,7 +282,7 @@ impl TriangleBlock {
     }
 }
 
-/// How far apart the corners of a polygon are along its normal; that of a triangle is its own plane's.
+/// Maximum distance between corners of a polygon along its normal: 0 for a triangle.
 fn spread_of(mesh: &Mesh, record: PolygonRecord, plane: Plane) -> f64 {
     if record.corner_count == 3 {
         return 0.0;

@@ -37,8 +37,8 @@ fn sheet(side: u32) -> Mesh {
 /// The least and greatest corner of a box.
 type Box = ([f32; 3], [f32; 3]);
 
-/// Every corner of every polygon is in a block that names it, and in all boxes above; every fan triangle occurs once, unless its polygon
-/// copies an earlier one.
+/// Every corner of every polygon is in a block that names it, and in all boxes above; every fan triangle occurs once,
+/// unless its polygon copies an earlier one.
 fn check(mesh: &Mesh) -> RayTree {
     let tree = RayTree::new(mesh).unwrap();
     let mut met = vec![0usize; mesh.polygon_count()];
@@ -121,7 +121,7 @@ fn coincident_faces_and_slivers_make_shallow_trees() {
     let differ = |i: usize| Polygon::new([[0, 1, 2], [1, 2, 0], [2, 1, 0]][i % 3].to_vec(), (i / 3 % 2) as u16);
     let tree = check(&Mesh::new("m", vertices.clone(), (0..600).map(differ).collect(), PolygonOrder::Given).unwrap());
     assert_eq!(tree.blocks.iter().map(|b| b.count).sum::<u32>(), 6);
-    // Vertices of their own in another order: engines subtract the ends of edges the other way round.
+    // Vertices of their own in another order: engines subtract the ends of edges in reverse.
     let mut twice = vertices.clone();
     twice.extend(vertices.iter().rev());
     let faces = vec![Polygon::new(vec![0, 1, 2], 0), Polygon::new(vec![5, 4, 3], 0)];

@@ -87,7 +87,7 @@ impl<const K: usize> Skd<K> {
         let node = &mut self.nodes[index as usize];
         (node.low, node.high) = (low, high);
         (node.low_max, node.high_min) = (low_box.max[usize::from(axis)], high_box.min[usize::from(axis)]);
-        node.small = (0..K).all(|k| f64::from(whole.max[k]) - f64::from(whole.min[k]) <= self.params.least_cell);
+        node.small = (0..K).all(|k| f64::from(whole.max[k]) - f64::from(whole.min[k]) <= self.params.min_cell);
         (index, whole)
     }
 

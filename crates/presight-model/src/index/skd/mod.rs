@@ -5,7 +5,7 @@ mod build;
 mod query;
 
 use super::boxes::{Box32, Boxes8, LANES};
-use super::{Params, QueryResult, Region, SpatialIndex, Traversal};
+use super::{LEAF, Params, QueryResult, Region, SpatialIndex, Traversal};
 use crate::geometry::Aabb;
 use glam::DVec3;
 
@@ -48,7 +48,7 @@ struct Node {
     built: u32,
     changes: u32,
     axis: u8,
-    /// No larger than the least cell, so its children are not tested.
+    /// No larger than the minimum cell, so its children are not tested.
     small: bool,
 }
 
@@ -67,9 +67,6 @@ struct Entry {
 }
 
 const NOWHERE: u32 = u32::MAX;
-/// Marks a child that is a bucket.
-const LEAF: u32 = 1 << 31;
-
 impl<const K: usize> Skd<K> {
     /// Builds a tree. If an id occurs twice, its last box is used.
     pub fn build(params: Params, boxes: &[(u32, Aabb)]) -> Self {
@@ -216,7 +213,7 @@ impl<const K: usize> Skd<K> {
         }
     }
 
-    /// The bucket for a box. Widens the nodes on the way.
+    /// The bucket for a box. Widens the nodes above it.
     fn descend(&mut self, b: &Box32) -> u32 {
         let mut at = self.root;
         while at & LEAF == 0 {

@@ -29,7 +29,7 @@ impl<const K: usize> Traversal for Skd<K> {
             }
             let node = &self.nodes[at as usize];
             if node.small {
-                // Below the least cell size, test only the boxes.
+                // Below the minimum cell size, test only the boxes.
                 self.leaves_below(at, shape, shift, found);
                 continue;
             }

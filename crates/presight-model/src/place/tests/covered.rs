@@ -10,7 +10,7 @@ const R: f64 = 1e-3;
 /// The unit square, cut into rows and columns of rectangles, with typical faults of models.
 #[derive(Clone, Debug)]
 struct Quilt {
-    /// Where columns and rows end; the seam is the gap or overlap to the next.
+    /// Coordinates where columns and rows end; the seam is the gap or overlap to the next.
     columns: Vec<(f64, f64)>,
     rows: Vec<(f64, f64)>,
     /// By rectangle: left out, doubled or in triangles, and the lift of its corners: level, and slope along x.
@@ -33,7 +33,7 @@ impl Quilt {
             match kind {
                 0 => {}
                 1 => polygons.extend([corners.clone(), corners]),
-                // Triangles, wound either way.
+                // Triangles, wound in either sense.
                 2 => polygons.extend([corners[..3].to_vec(), vec![corners[2], corners[0], corners[3]]]),
                 _ => polygons.push(corners),
             }
@@ -112,8 +112,15 @@ proptest! {
             }
             Support::On(_) => {
                 // Samples at seams and rims, where it could be off, and everywhere.
-                let seams = |cuts: &[(f64, f64)]| cuts.iter().flat_map(|(end, seam)| (0..=8).map(move |k| end + seam * f64::from(k) / 8.0)).collect::<Vec<_>>();
-                let mut at: Vec<[f64; 2]> = (0..1600).map(|k| [f64::from(k % 40) / 39.0, f64::from(k / 40) / 39.0]).collect();
+                let seams = |cuts: &[(f64, f64)]| {
+                    let across = |(end, seam): &(f64, f64)| {
+                        let (end, seam) = (*end, *seam);
+                        (0..=8).map(move |k| end + seam * f64::from(k) / 8.0)
+                    };
+                    cuts.iter().flat_map(across).collect::<Vec<_>>()
+                };
+                let mut at: Vec<[f64; 2]> =
+                    (0..1600).map(|k| [f64::from(k % 40) / 39.0, f64::from(k / 40) / 39.0]).collect();
                 let (xs, ys) = (seams(&quilt.columns), seams(&quilt.rows));
                 at.extend(xs.iter().flat_map(|x| ys.iter().map(|y| [*x, *y])));
                 at.extend(xs.iter().flat_map(|x| (0..200).map(|k| [*x, f64::from(k) / 199.0])));
@@ -154,7 +161,7 @@ proptest! {
         }).collect();
         let local = Local::new(0, corners.clone(), R);
         let flat = PatchPlane::of(&crate::geometry::Plane { normal: DVec3::Z, offset: 0.0 });
-        let Some(under) = patch::CoplanarPart::new(&local, &flat) else { return Ok(()) };
+        let Some(under) = coplanar::CoplanarPart::new(&local, &flat) else { return Ok(()) };
         let around = under.around(&flat);
         let reaches = |p: DVec2| oracle_distance(&corners, flat.lift(p));
         for p in &around {

@@ -133,7 +133,7 @@ fn what_is_off_names_feature_object_and_distance() {
         ..FeatureLayer::default()
     };
     assert!(place(&world, &layer).unwrap_err().to_string().contains("pose covariance of object \"door\""));
-    // Values that no file can hold are rejected here, too.
+    // Values that no file can hold are also rejected here.
     assert!(said(None, point(DVec3::NAN)).contains("not a finite position"));
 }
 
@@ -151,7 +151,7 @@ fn a_segment_that_ends_on_a_polygon_does_not_lie_on_it() {
     let foot = place_one(&world, Some("pillar"), segment(DVec3::ZERO, 0.5 * DVec3::X)).unwrap();
     assert_eq!(foot.slots.iter().filter(|s| **s < first).count(), 1);
     assert_eq!(foot.slots.len(), 3);
-    // The same when the objects move together, or when only the pillar is lifted off the floor.
+    // The polygons stay when the objects move together, or when only the pillar is lifted off the floor.
     let mut moved = world.clone();
     let lifted = Pose { translation: pose.translation + 0.1 * DVec3::Z, ..pose };
     moved.apply(crate::Change::MoveObject { name: "pillar".into(), world_from_object: lifted }).unwrap();
@@ -177,7 +177,7 @@ fn patches_lie_on_what_they_overlap_and_nowhere_else() {
     assert!(off(&[[0., -2e-3, 0.], [0., 4., 0.], [0., 4., 3.], [0., -2e-3, 3.]]).contains("0.002000 m off"));
     assert!(off(&[[-0.5, 1., 1.], [-0.5, 2., 1.], [-0.5, 2., 2.]]).contains("0.500000 m off"));
     assert!(off(&[[0., 1., 1.], [0., 2., 1.], [-0.01, 2., 2.]]).contains("0.010000 m off"));
-    // A marker on the face is a patch, too.
+    // A marker on the face is also a patch.
     let marker = FeatureShape::Fiducial {
         corners: [[0., 0.6, 1.], [0., 0.4, 1.], [0., 0.4, 0.8], [0., 0.6, 0.8]].map(DVec3::from_array),
         covariance: DMat3::ZERO,
@@ -261,7 +261,7 @@ fn oracle_stretch(corners: &[DVec3], a: DVec3, b: DVec3, reach: f64) -> f64 {
 fn disagreement(slots: &[u32], all: &[Vec<DVec3>], a: DVec3, b: DVec3) -> Option<String> {
     let length = (b - a).length();
     let margin = 2.0 * length / f64::from(SAMPLES) + 1e-6;
-    let [least, least_closely] = [TOLERANCE, ROUNDING].map(|tolerance| (2.0 * tolerance).min(0.5 * length));
+    let [least, min_closely] = [TOLERANCE, ROUNDING].map(|tolerance| (2.0 * tolerance).min(0.5 * length));
     let held_within = |tolerance: f64| {
         (0..=SAMPLES).all(|k| {
             let p = a.lerp(b, f64::from(k) / f64::from(SAMPLES));
@@ -275,12 +275,12 @@ fn disagreement(slots: &[u32], all: &[Vec<DVec3>], a: DVec3, b: DVec3) -> Option
         let rise = normal.dot(b - a).abs() / length;
         let held = |reach: f64| oracle_stretch(corners, a, b, reach);
         if slots.contains(&slot) {
-            let lies = stretch > (least - margin).max(0.0) || closely && held(2.0 * ROUNDING) > least_closely - 1e-6;
+            let lies = stretch > (least - margin).max(0.0) || closely && held(2.0 * ROUNDING) > min_closely - 1e-6;
             let sound = lies && rise < LYING.max(2.0 * TOLERANCE / length) + 1e-6;
             (!sound).then(|| format!("slot {slot} supports only {stretch} m of {length} m, at a slope of {rise}"))
         } else {
             // If other polygons support it within rounding, a near polygon may hide it; so may one that it crosses.
-            let near = || held(0.5 * ROUNDING) < 2.0 * least_closely;
+            let near = || held(0.5 * ROUNDING) < 2.0 * min_closely;
             let excused = closely && near() || somehow && passes_through(corners, a, b);
             let sound = stretch < least + margin || rise > 0.99 * LYING || excused;
             (!sound).then(|| format!("slot {slot}, which supports {stretch} m of {length} m, is missing"))
@@ -296,7 +296,14 @@ fn passes_through(corners: &[DVec3], a: DVec3, b: DVec3) -> bool {
 prop_compose! {
     fn scene()(
         boxes in prop::collection::vec(
-            ([0.2..3.0f64, 0.2..3.0f64, 0.2..3.0f64], [-3.0..3.0f64, -3.0..3.0f64, -3.0..3.0f64], -3.1..3.1f64, 1u32..4, any::<bool>(), any::<bool>()),
+            (
+                [0.2..3.0f64, 0.2..3.0f64, 0.2..3.0f64],
+                [-3.0..3.0f64, -3.0..3.0f64, -3.0..3.0f64],
+                -3.1..3.1f64,
+                1u32..4,
+                any::<bool>(),
+                any::<bool>(),
+            ),
             1..5,
         ),
         far in any::<bool>(),
@@ -321,12 +328,52 @@ fn tolerances_that_reach_very_many_polygons_are_refused() {
     let features = vec![numbered(1), numbered(2)];
     let layer = FeatureLayer { class: "video".into(), tolerance: 10.0, features, ..Default::default() };
     let mut finder = SupportFinder::new(&world, &layer).unwrap();
-    finder.most_pairs = 96;
+    finder.max_pairs = 96;
     assert_eq!(finder.lie_all(&layer).unwrap().len(), 2);
-    finder.most_pairs = 95;
+    finder.max_pairs = 95;
     let refused = finder.lie_all(&layer).map(|all| all.len()).unwrap_err();
     assert_eq!(refused.kind(), ErrorKind::Invalid);
     assert!(refused.to_string().contains("tolerance of 10 m"), "{refused}");
+}
+
+/// The comparison detects a missing polygon, and an extra one.
+fn find_planted_faults(slots: &[u32], all: &[Vec<DVec3>], a: DVec3, b: DVec3) -> Result<(), TestCaseError> {
+    let share = |s: &u32| oracle_share(&all[*s as usize], a, b, TOLERANCE);
+    let most = slots.iter().copied().max_by(|x, y| share(x).total_cmp(&share(y))).unwrap();
+    let fewer: Vec<u32> = slots.iter().copied().filter(|s| *s != most).collect();
+    if !passes_through(&all[most as usize], a, b) {
+        prop_assert!(disagreement(&fewer, all, a, b).is_some(), "{most}");
+    }
+    if let Some(apart) = (0..all.len() as u32).find(|s| share(s) == 0.0) {
+        prop_assert!(disagreement(&[slots, &[apart]].concat(), all, a, b).is_some());
+    }
+    // A polygon that shares only the tolerance with the segment.
+    let touches = |s: &u32| {
+        let [wide, close] = [TOLERANCE, 2.0 * ROUNDING].map(|reach| oracle_stretch(&all[*s as usize], a, b, reach));
+        wide > 0.0 && wide < TOLERANCE.min(0.25 * (b - a).length()) && close == 0.0
+    };
+    if let Some(touching) = (0..all.len() as u32).find(touches) {
+        prop_assert!(disagreement(&[slots, &[touching]].concat(), all, a, b).is_some());
+    }
+    Ok(())
+}
+
+/// The polygons of a point (world), by brute force.
+fn check_point(world: &World, all: &[Vec<DVec3>], a: DVec3) -> Result<(), TestCaseError> {
+    let first = place_one(world, None, point(a));
+    let near = |most: f64| -> Vec<u32> {
+        (0..).zip(all).filter(|(_, c)| oracle_distance(c, a) <= most).map(|(s, _)| s).collect()
+    };
+    // Near polygons count only if no polygon is within rounding, including the rounding of vertices.
+    let closest = if near(2.0 * ROUNDING).is_empty() { TOLERANCE - 1e-7 } else { 0.5 * ROUNDING };
+    let (surely, perhaps) = (near(closest), near(TOLERANCE + 1e-7));
+    match first {
+        Ok(p) => {
+            prop_assert!(surely.iter().all(|s| p.slots.contains(s)) && p.slots.iter().all(|s| perhaps.contains(s)))
+        }
+        Err(_) => prop_assert!(surely.is_empty()),
+    }
+    Ok(())
 }
 
 proptest! {
@@ -351,7 +398,10 @@ proptest! {
             object.mesh.corners_of(polygon).map(|p| object.object_from_mesh.transform_point3(p)).collect();
         let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();
         // On a side of the polygon, or anywhere in its parallelogram.
-        let at = |(s, t): (f64, f64)| corners[0] + s * (corners[1] - corners[0]) + if edge == 0 { 0.0 } else { t } * (corners[2] - corners[1]);
+        let at = |(s, t): (f64, f64)| {
+            let t = if edge == 0 { 0.0 } else { t };
+            corners[0] + s * (corners[1] - corners[0]) + t * (corners[2] - corners[1])
+        };
         let [a, b] = [at(from), at(to)].map(|p| p + lift * normal);
         prop_assume!((b - a).length() > 0.01);
         // At the threshold of the rounding of files either answer is right, and one polygon may be missing.
@@ -365,7 +415,8 @@ proptest! {
         };
         let (a, b) = (to_world(a), to_world(b));
         let placed = place_one(&world, whose, shape);
-        let all: Vec<Vec<DVec3>> = (0..environment.slot_count()).map(|s| environment.polygon_in_world(s).unwrap()).collect();
+        let slots = 0..environment.slot_count();
+        let all: Vec<Vec<DVec3>> = slots.map(|s| environment.polygon_in_world(s).unwrap()).collect();
         // World coordinates of a far site are rounded to a nanometre.
         let farthest = (0..=SAMPLES).map(|k| {
             let p = a.lerp(b, f64::from(k) / f64::from(SAMPLES));
@@ -380,36 +431,8 @@ proptest! {
         }
         let Ok(placed) = placed else { return Ok(()) };
         prop_assert_eq!(disagreement(&placed.slots, &all, a, b), None);
-        // The comparison detects a missing polygon, and an extra one.
-        let share = |s: &u32| oracle_share(&all[*s as usize], a, b, TOLERANCE);
-        let most = placed.slots.iter().copied().max_by(|x, y| share(x).total_cmp(&share(y))).unwrap();
-        let fewer: Vec<u32> = placed.slots.iter().copied().filter(|s| *s != most).collect();
-        if !passes_through(&all[most as usize], a, b) {
-            prop_assert!(disagreement(&fewer, &all, a, b).is_some(), "{most}");
-        }
-        if let Some(apart) = (0..environment.slot_count()).find(|s| share(s) == 0.0) {
-            prop_assert!(disagreement(&[&placed.slots[..], &[apart]].concat(), &all, a, b).is_some());
-        }
-        // A polygon that shares only the tolerance with the segment.
-        let touches = |s: &u32| {
-            let [wide, close] = [TOLERANCE, 2.0 * ROUNDING].map(|reach| oracle_stretch(&all[*s as usize], a, b, reach));
-            wide > 0.0 && wide < TOLERANCE.min(0.25 * (b - a).length()) && close == 0.0
-        };
-        if let Some(touching) = (0..environment.slot_count()).find(touches) {
-            prop_assert!(disagreement(&[&placed.slots[..], &[touching]].concat(), &all, a, b).is_some());
-        }
-        // The first end alone.
-        let first = place_one(&world, None, point(a));
-        let near = |most: f64| -> Vec<u32> {
-            (0..).zip(&all).filter(|(_, c)| oracle_distance(c, a) <= most).map(|(s, _)| s).collect()
-        };
-        // Near polygons count only if no polygon is within rounding, including the rounding of vertices.
-        let closest = if near(2.0 * ROUNDING).is_empty() { TOLERANCE - 1e-7 } else { 0.5 * ROUNDING };
-        let (surely, perhaps) = (near(closest), near(TOLERANCE + 1e-7));
-        match first {
-            Ok(p) => prop_assert!(surely.iter().all(|s| p.slots.contains(s)) && p.slots.iter().all(|s| perhaps.contains(s))),
-            Err(_) => prop_assert!(surely.is_empty()),
-        }
+        find_planted_faults(&placed.slots, &all, a, b)?;
+        check_point(&world, &all, a)?;
     }
 
     /// A rectangle inside a face of a box is found on that face, whatever its tessellation. It is not found there if it
@@ -451,7 +474,10 @@ proptest! {
                 DVec3::new(x[0] + s * (x[1] - x[0]), y[0] + t * (y[1] - y[0]), 0.0)
             };
             let inside = |p: DVec3| {
-                let turn = |k: usize| (c[(k + 1) % c.len()] - c[k]).cross(p - c[k]).z / (c[(k + 1) % c.len()] - c[k]).length();
+                let turn = |k: usize| {
+                    let side = c[(k + 1) % c.len()] - c[k];
+                    side.cross(p - c[k]).z / side.length()
+                };
                 (0..c.len()).all(|k| turn(k) > 4.0 * TOLERANCE) || (0..c.len()).all(|k| turn(k) < -4.0 * TOLERANCE)
             };
             if (0..1600).any(|k| inside(sample(k))) {

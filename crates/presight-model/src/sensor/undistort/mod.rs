@@ -4,13 +4,14 @@
 //! share one image point. The model is used in the connected region around the axis where it is one to one:
 //! - Without tangential terms this is a disc. It ends where the derivative of the image radius or the denominator first
 //!   falls to zero (roots of polynomials, see [`super::polynomial`]). The inverse is a root in one unknown.
-//! - With tangential terms p and thin prism terms the Jacobian is J = R I + 2 R' x x^T + 2 p x^T + 2 x p^T +
-//!   2 (p . x) I + 2 q x^T with q = (s1, s3) + 2 r^2 (s2, s4). The model is one to one on every convex region where the
-//!   symmetric part S of J is positive definite. S is the identity at the axis, and positive definite until det S falls to
-//!   zero on the way out. With u the unit vector towards x, a = p . u and b = p x u:
-//!   det S = (g' + 6 a r + 2 (q . u) r) (R + 2 a r) - (2 b + q x u)^2 r^2, g' the radial derivative. Without prism terms
-//!   S is J, because the model is then a gradient.
-//! - The plane of a tilted image sensor is a perspective image of these coordinates ([`tilt`]): one to one by itself.
+//! - With tangential terms p and thin prism terms the Jacobian is J = R I + 2 R' x x^T + 2 p x^T + 2 x p^T + 2 (p . x)
+//!   I + 2 q x^T with q = (s1, s3) + 2 r^2 (s2, s4). The model is one to one on every convex region where the symmetric
+//!   part S of J is positive definite. S is the identity at the axis, and positive definite until det S falls to zero
+//!   away from it. With u the unit vector towards x, a = p . u and b = p x u: det S = (g' + 6 a r + 2 (q . u) r) (R + 2
+//!   a r) - (2 b + q x u)^2 r^2, g' the radial derivative. Without prism terms S is J, because the model is then a
+//!   gradient.
+//! - The plane of a tilted image sensor is a perspective image of these coordinates ([`tilt`]): one to one without
+//!   further conditions.
 
 #[cfg(test)]
 mod tests;
@@ -24,7 +25,7 @@ use tilt::Tilt;
 /// Radii beyond this (within a microradian of 90 degrees from the axis) are imaged only by fisheyes.
 const RADIUS_LIMIT: f64 = 1e6;
 
-/// How far a solution may miss its image point, relative to the point's radius (1 if that is less).
+/// Maximum distance of a solution's image from its image point, relative to the point's radius (1 if that is less).
 const RESIDUAL: f64 = 1e-13;
 
 /// A lens model with precomputed data for its inverse, made once for all pixels by [`Distortion::lens`].
@@ -57,7 +58,7 @@ impl Distortion {
     /// let ray = barrel.undistort(0.4, -0.2).unwrap();
     /// let (xd, yd) = barrel.distort(ray).unwrap();
     /// assert!((xd - 0.4).abs() < 1e-12 && (yd + 0.2).abs() < 1e-12);
-    /// // r (1 - 0.3 r^2) never exceeds 0.703, so nothing is imaged further out.
+    /// // r (1 - 0.3 r^2) never exceeds 0.703, so the image ends there.
     /// assert!(barrel.undistort(0.71, 0.0).is_none());
     /// ```
     pub fn undistort(&self, xd: f64, yd: f64) -> Option<DVec3> {
@@ -137,7 +138,7 @@ struct Brown {
     pole: f64,
     /// Radius up to which the model is one to one in every direction.
     safe: f64,
-    /// Image radius beyond which nothing is imaged; infinite where no such bound is known.
+    /// Upper bound of the image radius; infinite if there is none.
     reach: f64,
 }
 
@@ -215,7 +216,8 @@ impl Brown {
         DMat2::from_cols(DVec2::new(xx, cross) + bend * x.x, DVec2::new(cross, yy) + bend * x.y)
     }
 
-    /// True if S is positive definite at radius r, where p and q have these components along the direction and across it.
+    /// True if S is positive definite at radius r, where p and q have these components along the direction and across
+    /// it.
     fn definite(&self, r: f64, [p_along, p_across]: [f64; 2], [q_along, q_across]: [f64; 2]) -> bool {
         let Radial { stretch, slope } = self.radial(r * r);
         let along = stretch + 2.0 * slope * r * r + 6.0 * p_along * r + 2.0 * q_along * r;

@@ -173,7 +173,8 @@ proptest! {
         let (plain, _) = upright(&model);
         let Kind::Brown(brown, None) = plain.lens().0 else { return Ok(()) };
         prop_assume!(brown.pole > 0.7);
-        let (j, step, at) = (brown.jacobian(DVec2::new(x, y)), 1e-5, |x, y| DVec2::from(textbook(&plain, DVec3::new(x, y, 1.0))));
+        let at = |x, y| DVec2::from(textbook(&plain, DVec3::new(x, y, 1.0)));
+        let (j, step) = (brown.jacobian(DVec2::new(x, y)), 1e-5);
         let by_x = (at(x + step, y) - at(x - step, y)) / (2.0 * step);
         let by_y = (at(x, y + step) - at(x, y - step)) / (2.0 * step);
         let size = 1.0 + j.x_axis.length() + j.y_axis.length();

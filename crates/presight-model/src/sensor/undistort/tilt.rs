@@ -1,8 +1,8 @@
 //! The tilted image sensor of `rational_polynomial` (OpenCV's tauX, tauY; the Scheimpflug model).
 //!
-//! R = Ry(tauY) Rx(tauX) turns points of the upright plane z = 1 into the axes of the sensor, where the axis of the lens
-//! is a = R e_z. The sensor is the plane z = a_z. Points are projected onto it through the centre of the lens, and their
-//! coordinates are relative to a.
+//! R = Ry(tauY) Rx(tauX) turns points of the upright plane z = 1 into the axes of the sensor, where the axis of the
+//! lens is a = R e_z. The sensor is the plane z = a_z. Points are projected onto it through the centre of the lens, and
+//! their coordinates are relative to a.
 
 use glam::{DMat3, DVec2, DVec3};
 

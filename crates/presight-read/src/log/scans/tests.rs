@@ -24,13 +24,13 @@ fn images_of_ranges_are_frames() {
     assert_eq!(frames[0].reference.unwrap().translation, DVec3::X);
     assert_eq!(frames[0].frame.ranges()[7], 2.5);
     write("11.exr", &[Output::Range], None);
-    let told = |sensor: Option<&Sensor>| {
+    let outcome = |sensor: Option<&Sensor>| {
         let mut scans = Scans::open(&folder.path().join("11.exr"), sensor).unwrap();
         scans.next().unwrap().map(drop).map_err(|e| e.to_string())
     };
-    assert!(told(None).unwrap_err().contains("which sensor"));
-    assert!(told(Some(&sensor)).is_ok());
-    assert!(told(Some(&crate::preset("laser-range-camera").unwrap())).unwrap_err().contains("361 x 1"));
+    assert!(outcome(None).unwrap_err().contains("sensor that measured"));
+    assert!(outcome(Some(&sensor)).is_ok());
+    assert!(outcome(Some(&crate::preset("laser-range-camera").unwrap())).unwrap_err().contains("361 x 1"));
     write("12.exr", &[Output::Echo], text());
     let mut scans = Scans::open(folder.path(), None).unwrap();
     assert!(scans.by_ref().nth(2).unwrap().is_err() && scans.next().is_none(), "nothing after an error");

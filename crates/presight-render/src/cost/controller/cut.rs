@@ -1,6 +1,7 @@
 //! The first estimate (paper, section 3.3): the query region shrinks, first in radius, then in angle.
 
-use super::{Controller, DeadlineFrame, counts_of, milliseconds};
+use super::control::Controller;
+use super::frame::{DeadlineFrame, counts_of, milliseconds};
 use crate::cost::Forecast;
 use crate::deadline::{DegradationKind, DegradationStep};
 use crate::plan::{FramePlan, Run};
@@ -8,23 +9,23 @@ use presight_model::error::Result;
 use presight_model::sensor::ImagePart;
 
 /// Minimum number of columns: the angle shrinks no further.
-const LEAST_COLUMNS: u32 = 8;
+const MIN_COLUMNS: u32 = 8;
 
 impl Controller {
     /// Leaves out runs that certainly cannot be drawn in time. Runs are sorted by distance, so a radius is a prefix of
-    /// them. If even the least radius is too much, narrows the image to columns around the heading.
+    /// them. If even the minimum radius is too much, narrows the image to columns around the heading.
     pub(super) fn cut(&self, timed: &mut DeadlineFrame, plan: &mut FramePlan) -> Result<()> {
         let left = timed.watch.left().as_secs_f64();
         let low = |runs: &[Run]| {
             let estimate = self.at_stride(timed, Forecast::Selection, &counts_of(runs), timed.stride);
-            // Without learnt costs, nothing is given up.
+            // All runs stay until costs are learnt.
             if estimate.frames == 0 { 0.0 } else { estimate.lower }
         };
         if low(&plan.runs) <= left {
             return Ok(());
         }
-        let least_radius = timed.priority.least_radius as f32;
-        let least = plan.runs.partition_point(|run| run.nearest <= least_radius).max(1);
+        let min_radius = timed.priority.min_radius as f32;
+        let least = plan.runs.partition_point(|run| run.nearest <= min_radius).max(1);
         let (mut fits, mut late) = (least, plan.runs.len());
         while late > fits + 1 {
             let middle = fits.midpoint(late);
@@ -39,7 +40,7 @@ impl Controller {
         let again = timed.selected.saturating_sub(timed.begun).as_secs_f64();
         if needed > left && again < left && timed.draws_parts {
             let share = (left - again) / needed;
-            let columns = ((f64::from(plan.sensor.width()) * share) as u32).max(LEAST_COLUMNS * timed.stride);
+            let columns = ((f64::from(plan.sensor.width()) * share) as u32).max(MIN_COLUMNS * timed.stride);
             if let Some(part) = plan.sensor.columns_around(timed.priority.heading, columns) {
                 plan.narrow(ImagePart { stride: timed.stride, ..part })?;
                 cut.push(taken(DegradationKind::Angle, None));

@@ -1,13 +1,14 @@
 //! Features with a deadline, in groups: the next group starts only if it fits.
 
-use super::{Controller, DeadlineFrame};
+use super::control::Controller;
+use super::frame::DeadlineFrame;
 use crate::cost::Forecast;
 use std::time::Duration;
 
-/// Size of the first group if nothing was learnt.
+/// Size of the first group before costs are learnt.
 const FIRST_GROUP: usize = 64;
 /// Minimum size of a group, unless fewer features are left.
-const LEAST_GROUP: usize = 4;
+const MIN_GROUP: usize = 4;
 
 /// Decides how many features fit.
 pub struct FeatureGroups {
@@ -47,7 +48,7 @@ impl FeatureGroups {
         let rest = rest.min(self.most);
         match all / 2 {
             half if half >= rest => rest,
-            half if half >= LEAST_GROUP => half,
+            half if half >= MIN_GROUP => half,
             _ if all >= rest => rest,
             _ => 0,
         }

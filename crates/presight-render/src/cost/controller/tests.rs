@@ -1,11 +1,17 @@
 //! Replays recorded counts and times: no real clock is used.
 
 use super::*;
-use crate::deadline::{DeadlineOutcome, Degradation};
+use crate::deadline::{
+    Clock, DeadlineEngine, DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Priority,
+};
+use crate::plan::{CountName, FramePlan, Outputs, Run, Stats};
 use presight_model::environment::Environment;
+use presight_model::error::{ErrorKind, Result};
 use presight_model::geometry::Pose;
+use presight_model::sensor::Sensor;
 use presight_model::world::World;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 /// A clock that only moves when it is set.
 #[derive(Debug, Default)]
@@ -142,8 +148,8 @@ fn whole_frames_give_nothing_up_and_costs_are_found() {
     assert!((frame.kept.estimate_ms / 3.7 - 1.0).abs() < 0.02, "{}", frame.kept.estimate_ms);
 }
 
-/// By hand: after 600 of 800 microseconds, half of the rest is kept for images, so ten runs of 10 are drawn. The default
-/// costs of these images are far above 200 microseconds; a machine may be faster than they say.
+/// By hand: after 600 of 800 microseconds, half of the rest is kept for images, so ten runs of 10 are drawn. The
+/// default costs of these images are far above 200 microseconds; a machine may be faster than they say.
 #[test]
 fn without_learnt_costs_a_frame_is_tried_unless_its_time_is_up() {
     let mut replay = Replay::new();
@@ -195,8 +201,8 @@ fn a_radius_is_a_prefix_of_the_runs() {
     // Rounded down: no run that was cut off is nearer.
     let first_out = (0..300).map(|i| 0.1 * i as f32).find(|nearest| *nearest > radius).unwrap();
     assert!(radius < first_out && radius > first_out - 1e-5);
-    // A larger least radius is kept.
-    replay.priority.least_radius = 5.0;
+    // A larger minimum radius is kept.
+    replay.priority.min_radius = 5.0;
     assert!((5.0..5.2).contains(&replay.frame(1000.0, 300, RECORDED).unwrap().radius.unwrap()));
     // A frame that fits is not cut.
     assert_eq!(replay.frame(4500.0, 300, RECORDED).unwrap().radius, None);
@@ -247,7 +253,7 @@ fn images_are_thinned_where_that_leaves_more_samples() {
     assert!(strides[0] > 1 && strides[20..].iter().all(|stride| *stride == 1), "{strides:?}");
 }
 
-/// One frame in twenty takes ten times as long for its images, 5000 microseconds. Reserving that would leave nothing of
+/// One frame in twenty takes ten times as long for its images, 5000 microseconds. Reserving that would leave no time of
 /// 3500 for drawing, so only half is reserved.
 #[test]
 fn slow_frames_that_may_come_do_not_stop_all_others() {
@@ -288,7 +294,8 @@ fn what_cannot_be_done_is_refused_at_once_and_tried_when_that_may_be_wrong() {
     assert!(tries.is_some_and(|tries| tries < 100), "{tries:?}");
 }
 
-/// The same records give bit-equal decisions. That a saved model reads back bit-equal is tested with its file format.
+/// Equal records give bit-equal decisions. Another test shows, with the file format, that a saved model reads back
+/// bit-equal.
 #[test]
 fn decisions_replay() {
     let run = || {

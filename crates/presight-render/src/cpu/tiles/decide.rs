@@ -1,5 +1,6 @@
-//! The decision of a tile: planes, edges and ties as the raster has them, of the polygons that the search has found. It shares the
-//! functions of [`super::super::lanes`], [`super::super::setup`] and [`super::super::raster_lines`], so it gives the raster's bits.
+//! The decision of a tile: planes, edges and ties of the polygons that the search has found. It shares the functions of
+//! [`super::super::lanes`], [`super::super::setup`] and [`super::super::raster_lines`], so its results have the
+//! raster's bits.
 
 use super::super::batch::{NOTHING, Shade, Winners};
 use super::super::lanes::PolygonLanes;
@@ -21,7 +22,7 @@ struct Rays {
     b: Row,
     c: Row,
     d: Row,
-    /// Positions on their lines; only of lines.
+    /// Positions on their lines; for line grids only.
     t: Row,
 }
 
@@ -47,30 +48,31 @@ impl Rays {
     }
 }
 
-/// A polygon as the raster has it.
+/// A polygon with the raster's arithmetic.
 #[derive(Clone, Copy)]
 struct Exact {
     m: DVec3,
     slot: u32,
     shade: Shade,
-    /// Its number once it wins a ray, until then [`NOTHING`].
+    /// Its number once it wins a ray, before that [`NOTHING`].
     number: u32,
-    /// False if it covers no ray: edge-on, or seen from its back.
+    /// False if it covers no ray, because it is edge-on or turned away.
     is_drawn: bool,
-    /// Where its edges begin, once they are made, and for lines how many there are of each kind.
+    /// Index of its first edge, once its edges are made, and for lines the number of each kind.
     edges: u32,
     counts: [u8; 3],
 }
 
-/// Entries of the table of polygons in hand.
+/// Entries of the table of current polygons.
 const KNOWN: usize = 1024;
 
-/// With more polygons in hand a tile begins without any, so that memory is bounded by what one tile may see.
-const MOST_IN_HAND: usize = 1 << 15;
+/// A tile begins without current polygons if there are more than this, which bounds the memory by the polygons of one
+/// tile.
+const MAX_IN_HAND: usize = 1 << 15;
 
-/// Polygons in hand, and what the rays of the last tile see.
+/// Current polygons, and the visible polygon of each ray of the last tile.
 pub(super) struct Decision {
-    /// By slot: which polygon it is, and its place among those in hand.
+    /// By slot: a polygon, and its index among the current polygons.
     known: Vec<[u32; 2]>,
     polygons: Vec<Exact>,
     pub winners: Winners,
@@ -78,15 +80,15 @@ pub(super) struct Decision {
     edges: Vec<DVec3>,
     lanes: Box<PolygonLanes<1>>,
     room: Box<Room>,
-    /// By candidate of the tile: its place among the polygons in hand.
+    /// By candidate of the tile: its index among the current polygons.
     places: Vec<u32>,
-    /// Rays on which candidates in doubt were drawn already.
+    /// Rays on which uncertain candidates were already drawn.
     drawn: [u32; GROUPS],
     rays: Box<[Rays; GROUPS]>,
-    /// By group: inverse depths, 0 where nothing is seen, and who is there.
+    /// By group: inverse depths, 0 without a visible polygon, and the winners.
     pub inverse: [Row; GROUPS],
     pub winner: [[u32; GROUP]; GROUPS],
-    /// Rays that the search left open.
+    /// Number of rays that the search left undecided.
     pub unsure: u64,
 }
 
@@ -109,7 +111,7 @@ impl Decision {
         }
     }
 
-    /// No polygon in hand.
+    /// Removes all current polygons.
     pub fn clear(&mut self) {
         self.winners.clear();
         self.drop_polygons();
@@ -122,10 +124,10 @@ impl Decision {
         self.polygons.clear();
     }
 
-    /// Takes the rays of a tile, which see nothing yet.
+    /// Takes the rays of a tile, without visible polygons yet.
     #[inline(always)]
     pub fn begin(&mut self, grid: &PixelGrid, tiles: &RayTiles, tile: &RayTile) {
-        if self.polygons.len() > MOST_IN_HAND {
+        if self.polygons.len() > MAX_IN_HAND {
             self.drop_polygons();
         }
         self.places.clear();
@@ -135,10 +137,10 @@ impl Decision {
         }
     }
 
-    /// Draws all candidates in doubt, and removes them.
+    /// Draws all uncertain candidates, and removes them.
     #[inline(never)]
     pub fn draw_unsure(&mut self, objects: &Objects<'_>, found: &mut Found) {
-        if self.polygons.len() > MOST_IN_HAND {
+        if self.polygons.len() > MAX_IN_HAND {
             self.drop_polygons();
             self.places.clear();
         }
@@ -155,7 +157,7 @@ impl Decision {
         found.unsure.clear();
     }
 
-    /// Decides what the rays of a tile see.
+    /// Decides which polygon each ray of a tile sees.
     #[inline(always)]
     pub fn run(&mut self, objects: &Objects<'_>, tile: &RayTile, found: &Found) {
         self.places.resize(found.candidates.len(), NONE);
@@ -191,7 +193,7 @@ impl Decision {
         }
     }
 
-    /// Rays as the raster has them.
+    /// Loads rays with the raster's coordinates.
     #[inline(always)]
     fn load(&mut self, grid: &PixelGrid, tiles: &RayTiles, at: [u32; 2], g: usize) {
         let rays = &mut self.rays[g];
@@ -207,7 +209,7 @@ impl Decision {
         }
     }
 
-    /// Fills the rays of a group whose polygon is known, and clears the rest.
+    /// Fills the decided rays of a group, and clears the other rays.
     #[inline(always)]
     fn take_sure(&mut self, objects: &Objects<'_>, found: &Found, g: usize, sure: u32) {
         let names = &found.sure[g];
@@ -239,7 +241,7 @@ impl Decision {
         self.winner[g] = winner;
     }
 
-    /// The number under which a polygon in hand wins rays.
+    /// The number under which a current polygon wins rays.
     #[inline(always)]
     fn number(&mut self, place: usize) -> u32 {
         let exact = &mut self.polygons[place];
@@ -249,7 +251,7 @@ impl Decision {
         exact.number
     }
 
-    /// The place of a candidate's polygon among those in hand.
+    /// The index of a candidate's polygon among the current polygons.
     #[inline(always)]
     fn place(&mut self, objects: &Objects<'_>, found: &Found, candidate: u32) -> usize {
         let place = self.places[candidate as usize];
@@ -331,7 +333,7 @@ impl Decision {
             }
         }
         for i in (0..GROUP).filter(|i| lanes >> i & 1 == 1 && inside[*i]) {
-            // On bit-equal inverse depth the lower slot wins.
+            // Among bit-equal inverse depths the lower slot wins.
             let (inverse, winner) = (self.inverse[g][i], self.winner[g][i]);
             let ties = k[i] == inverse && winner != NOTHING;
             if k[i] > inverse || (ties && exact.slot < self.winners.slots[winner as usize]) {

@@ -1,10 +1,11 @@
-//! Tiles: the second way of the engine. Up to 64 rays together search the meshes' trees, nearest first, in f32 with margins. The
-//! raster's own arithmetic then decides among the polygons found, so both ways give the same bits. Nothing is selected, and a polygon is
-//! set up only if a ray may see it.
+//! Tiles: the second rendering strategy of the engine. Up to 64 rays together search the meshes' trees, nearest first,
+//! in f32 with margins. The raster's own arithmetic then decides among the polygons found, so both strategies give the
+//! same bits. No polygons are selected, and only polygons that a ray may see are set up.
 //!
 //! | stage | in | out |
 //! |---|---|---|
-//! | `search` | a tile, the tree of objects, the trees of meshes | candidates: surely seen by a ray, or perhaps |
+//! | `search` | a tile, the tree of objects, the trees of meshes | candidates: polygons that a ray certainly or
+//! possibly sees |
 //! | `decide` | candidates | inverse depth and winner for each ray |
 //! | `resolve` of the engine | the band | the requested images |
 
@@ -15,7 +16,7 @@ mod wide;
 
 use super::batch::{NOTHING, Shade, Winners};
 use super::raster_lines::Buffer;
-use super::{Bands, CpuEngine, resolve};
+use super::{Bands, CpuEngine, FEW_RAYS, resolve};
 use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep};
 use crate::plan::{CountName, FramePlan, Images, StageName, Stats, Way};
 use decide::Decision;
@@ -29,37 +30,36 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use wide::Width;
 
-/// Frames of so few rays stay on the calling thread: handing them over takes longer.
-pub(super) const FEW_RAYS: usize = 1024;
-
-/// Price of a tree for each polygon of its mesh, in polygons that the raster selects: half of the time, because sensors that have delivered
-/// some frames deliver many. A price below the second constant is paid at once.
+/// Price of a tree per polygon of its mesh, in polygons that the raster selects: half of the building time, because
+/// sensors that have delivered some frames deliver many. Trees with a price below the second constant are built
+/// immediately.
 const PRICE: u64 = 4;
 const PAID_AT_ONCE: u64 = PRICE * 2000;
 
-/// Price of a frame by the raster in addition to its polygons.
+/// Price of a frame by the raster, in addition to its polygons.
 pub(super) const FRAME_PRICE: u64 = 300;
 
-/// Nanoseconds of a slow core for a tile, and for making a tree for each polygon of its mesh: some seven times the measured times.
+/// Nanoseconds of a slow core for a tile, and for building a tree per polygon of its mesh: about seven times the
+/// measured times.
 const TILE_NS: u64 = 100_000;
 const TREE_NS: u64 = 2_000;
 
-/// Tiles of listed rays in a task.
+/// Number of tiles of listed rays in a task.
 const LISTED_TILES: usize = 32;
 
-/// What the processor has for eight lanes of f32.
+/// Vector instructions for eight lanes of f32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Vectors {
     /// One register of eight, AVX2 with FMA.
     Avx2,
     /// Two registers of four, SSE4.2.
     Sse42,
-    /// Whatever the compiler makes of loops.
+    /// Plain loops, as the compiler translates them.
     Plain,
 }
 
 impl Vectors {
-    /// The widest of this processor.
+    /// The widest vectors of this processor.
     pub fn best() -> Self {
         #[cfg(target_arch = "x86_64")]
         match (pulp::x86::V3::try_new(), pulp::x86::V2::try_new()) {
@@ -70,7 +70,7 @@ impl Vectors {
         Self::Plain
     }
 
-    /// For people.
+    /// Name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Avx2 => "eight lanes (AVX2, FMA)",
@@ -79,8 +79,8 @@ impl Vectors {
         }
     }
 
-    /// Runs a task of the whole crate with these vectors, or with narrower ones if the processor lacks them. `pulp::Arch` does not know
-    /// SSE4.2.
+    /// Runs a task of the whole crate with these vectors, or with narrower ones if the processor lacks them.
+    /// `pulp::Arch` does not know SSE4.2.
     pub(super) fn dispatch<T: pulp::WithSimd>(self, task: T) -> T::Output {
         use pulp::Simd;
         #[cfg(target_arch = "x86_64")]
@@ -91,19 +91,20 @@ impl Vectors {
     }
 }
 
-/// Factors on the margins of the search, which are derived in docs/design/precision.md. Below 1 they are faults, which tests plant.
+/// Factors on the margins of the search, which docs/design/precision.md derives. Factors below 1 are faults, which
+/// tests plant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Margins {
-    /// For edges and depths.
+    /// Factor for edges and depths.
     pub edges: f32,
-    /// For boxes.
+    /// Factor for boxes.
     pub boxes: f32,
-    /// For the places of triangles among the rays of a tile.
+    /// Factor for positions of triangles among the rays of a tile.
     pub places: f32,
 }
 
 impl Margins {
-    /// As derived.
+    /// The derived margins.
     pub const SOUND: Self = Self { edges: 1.0, boxes: 1.0, places: 1.0 };
 }
 
@@ -125,7 +126,7 @@ impl<S: Width, T: Task, const N: usize> pulp::WithSimd for Op<S, T, N> {
     }
 }
 
-/// The one place where a width is chosen, once a task.
+/// Chooses the width, once a task, for all tiles.
 fn dispatch<T: Task>(vectors: Vectors, task: T) -> T::Output {
     use pulp::Simd;
     #[cfg(target_arch = "x86_64")]
@@ -150,7 +151,7 @@ pub(super) struct Room {
     decision: Option<Decision>,
 }
 
-/// What a thread works with in a frame.
+/// Data of a thread during a frame.
 struct Worker<'a> {
     objects: Objects<'a>,
     search: Search<'a>,
@@ -165,7 +166,7 @@ impl<'a> Worker<'a> {
     }
 }
 
-/// A frame while it is traced.
+/// A frame during its trace.
 struct Frame<'a> {
     plan: &'a FramePlan,
     tiles: &'a RayTiles,
@@ -175,14 +176,14 @@ struct Frame<'a> {
     number: u64,
     rooms: Mutex<Vec<Room>>,
     workers: Mutex<Vec<Worker<'a>>>,
-    /// The time was up before all tiles were traced.
+    /// True if the time was up before all tiles were traced.
     has_stopped: AtomicBool,
     /// Samples given up.
     given_up: AtomicU64,
 }
 
 impl<'a> Frame<'a> {
-    /// Lends a task what its thread works with.
+    /// Lends a task the data of its thread.
     fn with_worker<R>(&self, work: impl FnOnce(&mut Worker<'a>) -> R) -> R {
         let taken = self.workers.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut worker = taken.unwrap_or_else(|| {
@@ -194,7 +195,7 @@ impl<'a> Frame<'a> {
         done
     }
 
-    /// Traces a band into its buffer, and makes its images.
+    /// Traces a band into its buffer, and fills its images.
     fn trace_band(&self, band: usize, buffer: &mut Buffer, target: &mut resolve::Target<'_>) {
         let lines = self.bands.lines(band);
         buffer.clear(self.bands.axis, lines.len(), self.bands.samples);
@@ -214,7 +215,7 @@ impl<'a> Frame<'a> {
         is_over
     }
 
-    /// Makes the images of a band; unless all of its tiles were traced, its samples are given up.
+    /// Fills the images of a band. If a tile was left out, gives up the band's samples.
     #[inline(always)]
     fn resolve(&self, target: &mut resolve::Target<'_>, buffer: &Buffer, shades: &[Shade], band: usize, all: bool) {
         let complete_to = if all { f32::INFINITY } else { 0.0 };
@@ -222,7 +223,7 @@ impl<'a> Frame<'a> {
         self.given_up.fetch_add(given_up, Ordering::Relaxed);
     }
 
-    /// What became of the deadline, if there is one.
+    /// The outcome of the deadline, if there is one.
     fn outcome(&self) -> Option<DeadlineOutcome> {
         let drawn = self.plan.watch()?.elapsed();
         let samples = self.given_up.load(Ordering::Relaxed);
@@ -238,7 +239,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// Finds and decides what the rays of a tile see.
+/// Finds and decides which polygons the rays of a tile see.
 #[inline(always)]
 fn trace_tile<'a, S: Width, const N: usize>(
     simd: S,
@@ -312,7 +313,7 @@ fn put(buffer: &mut Buffer, layout: GroupLayout, tile: &RayTile, decision: &Deci
     }
 }
 
-/// What some listed rays see.
+/// Hits of some listed rays.
 struct Hits {
     /// Pixel, inverse depth and winner.
     rays: Vec<(u32, f64, u32)>,
@@ -353,11 +354,11 @@ impl Task for TraceListed<'_, '_> {
 }
 
 impl CpuEngine {
-    /// Fills the requested images by tiles. The answer is false, with nothing done, if meshes in view have no trees yet and it is too early to
-    /// make them.
+    /// Fills the requested images by tiles. Returns false, with empty images, if meshes in view have no trees yet and
+    /// it is too early to build them.
     ///
     /// # Errors
-    /// As [`CpuEngine::render`]; [`presight_model::ErrorKind::System`] if there is no memory for trees and tiles.
+    /// Errors of [`CpuEngine::render`]; [`presight_model::ErrorKind::System`] if memory for trees and tiles is short.
     pub(super) fn draw_tiles(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<bool> {
         plan.world_from_sensor.check()?;
         if !plan.chosen().at_once && self.price > self.savings {
@@ -411,7 +412,8 @@ impl CpuEngine {
         Ok(true)
     }
 
-    /// True if it is time to make the trees of these objects' meshes: by then frames without them have cost a good part of that.
+    /// True if it is time to build the trees of these objects' meshes: frames without them have cost a good part of the
+    /// building time.
     fn affords(&mut self, plan: &FramePlan, lacking: &[u32]) -> bool {
         let objects = plan.environment().objects();
         let polygons: usize = lacking.iter().map(|o| objects[*o as usize].mesh.polygon_count()).sum();
@@ -421,7 +423,7 @@ impl CpuEngine {
             (self.savings, self.price) = (0, 0);
             return true;
         }
-        // Where only time is lacking, the next search for trees waits twice as long.
+        // If only time is short, the next search for trees waits twice as long.
         self.price = if has_time { price } else { price.max(2 * self.savings + 1) };
         false
     }
@@ -445,7 +447,7 @@ impl CpuEngine {
     }
 }
 
-/// All of it on the calling thread.
+/// Traces all tiles on the calling thread.
 fn trace_here(frame: &Frame<'_>, canvas: &mut [Buffer], images: &mut Images) {
     let mut targets = resolve::split(images, frame.bands);
     if frame.tiles.layout == GroupLayout::Listed {
@@ -461,7 +463,7 @@ fn trace_here(frame: &Frame<'_>, canvas: &mut [Buffer], images: &mut Images) {
     }
 }
 
-/// On the threads of the pool.
+/// Traces all tiles on the threads of the pool.
 fn trace(frame: &Frame<'_>, canvas: &mut [Buffer], images: &mut Images) {
     let mut targets = resolve::split(images, frame.bands);
     if frame.tiles.layout == GroupLayout::Listed {
@@ -476,7 +478,7 @@ fn trace(frame: &Frame<'_>, canvas: &mut [Buffer], images: &mut Images) {
     parts.for_each(|(band, (buffer, target))| frame.trace_band(band, buffer, target));
 }
 
-/// Puts what listed rays see where the table has them.
+/// Puts the hits of listed rays at their pixels.
 fn scatter(frame: &Frame<'_>, canvas: &mut [Buffer], hits: Vec<Hits>) -> Winners {
     let bands = frame.bands;
     let mut winners = Winners::default();

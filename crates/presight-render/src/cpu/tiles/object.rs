@@ -1,4 +1,4 @@
-//! Objects as a tile sees them: a tree, and where its axes and the sensor are in the tree's frame.
+//! Objects in the view of a tile: a tree, with the tile's axes and the sensor in its frame.
 
 use super::super::setup::RayInstance;
 use super::Margins;
@@ -11,13 +11,14 @@ use presight_model::sensor::RayTile;
 /// Rounding of f32, relative.
 const EPSILON: f32 = 0.5 * f32::EPSILON;
 
-/// Error of an edge of a triangle as a function of the ray, relative to reach times sides: see docs/design/precision.md, *Tiles*.
+/// Error of a triangle's edge as a function of the ray, relative to reach times sides: see docs/design/precision.md,
+/// *Tiles*.
 const MARGIN: f32 = 32.0 * EPSILON;
 
-/// Error of a box beyond a plane, relative to the coordinates it is made of.
+/// Error of a box relative to a plane, as a share of the coordinates in the sum.
 const BOX_MARGIN: f32 = 16.0 * EPSILON;
 
-/// Error of a corner's place in the tile, relative to reach over depth.
+/// Error of a corner's position in the tile, relative to reach over depth.
 const PLACE_MARGIN: f32 = 4e-6;
 
 /// An object in a frame.
@@ -25,18 +26,19 @@ pub(super) struct PlacedObject<'a> {
     pub at: RayInstance<'a>,
     pub tree: &'a RayTree,
     image_from_mesh: DMat3,
-    /// No vector is longer in the image by more than the first, nor do two differ in that by more than the second.
+    /// Upper bounds of the factor by which vectors grow from the mesh to the image, and of the difference between two
+    /// such factors.
     stretch: [f32; 2],
     /// Boxes of the object in which polygons are absent.
     pub absent: Vec<Aabb>,
-    /// No polygon needs a look at material or absence.
+    /// True if no polygon requires a check of material or absence.
     pub plain: bool,
     pub mirrors: bool,
 }
 
-/// What becomes of an object.
+/// Result of placing an object.
 pub(super) enum Placing<'a> {
-    /// Its class does not see it, or it is absent.
+    /// The sensor's class does not see it, or it is absent.
     Unseen,
     /// Its mesh has no tree yet.
     Lacking,
@@ -83,31 +85,32 @@ impl PlacedObject<'_> {
     }
 }
 
-/// A tree as one tile sees it.
+/// A tree in the view of one tile.
 #[derive(Clone)]
 pub(super) struct TreeView<'a> {
     pub nodes: &'a [RayNode],
-    /// Number of the placed object; none for the tree of objects.
+    /// Number of the placed object; unused for the tree of objects.
     pub object: u32,
     /// Axes of the tile in the frame of the tree, f64 and f32.
     axes: [DVec3; 3],
     pub turn: [[f32; 3]; 3],
-    /// The sensor, relative to the tree's origin.
+    /// The sensor relative to the tree's origin.
     centre: DVec3,
     pub centre32: [f32; 3],
     /// Planes through the sensor around the tile's rays, inside positive.
     pub planes: [[f32; 3]; 4],
-    /// A box this far outside a plane may be inside.
+    /// A box up to this far outside a plane may be inside.
     pub slack: f32,
-    /// Error of edges and, of depth, of planes.
+    /// Error of edges and of planes of depth.
     pub margin: f32,
-    /// Error of a corner's place, relative to reach over depth.
+    /// Error of a corner's position, relative to reach over depth.
     pub places: f32,
     pub stretch: f32,
 }
 
 impl<'a> TreeView<'a> {
-    /// By the matrix from the tree's frame to the image, the sensor in that frame, and the bound of coordinates.
+    /// A view from the matrix from the tree's frame to the image, the sensor in that frame, and the bound of
+    /// coordinates.
     #[inline(always)]
     fn new(
         nodes: &'a [RayNode],
@@ -167,7 +170,7 @@ impl<'a> TreeView<'a> {
         Self { object: number, margin: view.margin * apart, places: view.places * apart, stretch, ..view }
     }
 
-    /// A place of the tree in the tile's axes, f64 until the sensor is subtracted.
+    /// A point of the tree in the tile's axes, f64 until the sensor is subtracted.
     #[inline(always)]
     pub fn place(&self, p: [f32; 3]) -> [f32; 3] {
         let p = DVec3::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2])) - self.centre;

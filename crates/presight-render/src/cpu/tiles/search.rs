@@ -1,5 +1,6 @@
-//! The search of a tile in the trees, nearest first, in f32 with margins: which polygon each ray surely sees, or which ones it may see.
-//! A ray is (1, s, t) in the axes of its tile, and its inverse depth k at a point is 1 over the point's first coordinate.
+//! The search of a tile in the trees, nearest first, in f32 with margins. It finds the polygon that each ray certainly
+//! sees, or the polygons that the ray may see. A ray is (1, s, t) in the axes of its tile, and its inverse depth k at a
+//! point is 1 over the point's first coordinate.
 
 use super::Margins;
 use super::object::{PlacedObject, Placing, TreeView};
@@ -12,13 +13,14 @@ use presight_model::sensor::{GROUPS, RayTile};
 /// No polygon.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// Relative error of depth up to which it is known on which side of a plane the sensor is.
+/// Maximum relative error of depth at which the sensor's side of a plane is decided.
 const SURE: f32 = 0.25;
 
-/// Corners this far ahead, relative to their distance, have a place in the tile.
+/// Minimum depth of corners with a position in the tile, relative to their distance.
 const AHEAD: f32 = 1e-5;
 
-/// So many candidates in doubt are decided before the search goes on: their number, and so memory, is bounded wherever faces coincide.
+/// The search pauses for the decision of this number of uncertain candidates. That bounds their memory where faces
+/// coincide.
 const MANY_UNSURE: usize = 1 << 14;
 
 /// A polygon that rays of the tile may see.
@@ -39,15 +41,15 @@ pub(super) struct Unsure {
     most: [f32; WIDE],
 }
 
-/// What a search has found.
+/// Results of a search.
 pub(super) struct Found {
     pub candidates: Vec<Candidate>,
-    /// The candidate that each ray sees, unless it has unsure ones.
+    /// The candidate that each ray sees, unless it has uncertain candidates.
     pub sure: [[u32; WIDE]; GROUPS],
     pub unsure: Vec<Unsure>,
-    /// The inverse depth of what each ray sees is at least this.
+    /// Lower bound of the inverse depth of each ray's visible polygon.
     least: [[f32; WIDE]; GROUPS],
-    /// That of the sure one is at most this.
+    /// Upper bound of the inverse depth of the certain candidate.
     most: [[f32; WIDE]; GROUPS],
 }
 
@@ -62,7 +64,7 @@ impl Found {
         }
     }
 
-    /// Nothing found yet. Where there is no ray, everything is too far.
+    /// Removes all results. Lanes without a ray count as beyond the range.
     fn clear(&mut self, tile: &RayTile, least: f32) {
         self.candidates.clear();
         self.unsure.clear();
@@ -75,7 +77,7 @@ impl Found {
         self.most = self.least;
     }
 
-    /// Inverse depth that something has to have, to be seen at all.
+    /// Minimum inverse depth of a visible polygon.
     #[inline(always)]
     fn farthest<S: Width, const N: usize>(&self, simd: S) -> f32 {
         let eight = Make::<S, N>(simd);
@@ -86,7 +88,7 @@ impl Found {
         least.least()
     }
 
-    /// Leaves out what turned out to be hidden since it was found.
+    /// Removes candidates that are hidden by polygons found later.
     #[inline(always)]
     fn settle<S: Width, const N: usize>(&mut self, simd: S) {
         let eight = Make::<S, N>(simd);
@@ -102,7 +104,7 @@ impl Found {
     }
 }
 
-/// Work to do: a node, a block or an object of a view, and a bound of its depth.
+/// A waiting node, block or object of a view, with a bound of its depth.
 #[derive(Clone, Copy)]
 struct Entry {
     near: f32,
@@ -115,7 +117,7 @@ pub(super) struct Objects<'a> {
     pub plan: &'a FramePlan,
     pub tree: &'a ObjectTree,
     image_from_world: DMat3,
-    /// By object of the environment: the frame in which it was placed, and its number.
+    /// By object of the environment: the last frame that placed it, and its number.
     known: Vec<(u64, u32)>,
     frame: u64,
     margins: Margins,
@@ -139,12 +141,12 @@ impl<'a> Objects<'a> {
         }
     }
 
-    /// Memory for the next frame.
+    /// Gives up the objects and returns their memory for the next frame.
     pub fn into_known(self) -> Vec<(u64, u32)> {
         self.known
     }
 
-    /// The number of a placed object; `None` if there is nothing to see of it.
+    /// The number of a placed object; `None` if the sensor cannot see it.
     #[inline(always)]
     fn number(&mut self, object: u32) -> Option<u32> {
         let (frame, number) = self.known[object as usize];
@@ -171,7 +173,7 @@ impl<'a> Objects<'a> {
     }
 }
 
-/// Memory of searches, and what the last one found.
+/// Memory of searches, and the results of the last one.
 pub(super) struct Search<'a> {
     stack: Vec<Entry>,
     views: Vec<TreeView<'a>>,
@@ -179,7 +181,7 @@ pub(super) struct Search<'a> {
     pub counts: Counts,
 }
 
-/// What searches did.
+/// Counts of search steps.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Counts {
     pub nodes: u64,
@@ -206,7 +208,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Finds what the rays of a tile may see. Returns false if candidates in doubt have to be decided first; the search then goes on.
+    /// Finds the polygons that the rays of a tile may see. Returns false when it pauses for a decision on uncertain
+    /// candidates; the next call continues the search.
     #[inline(always)]
     pub fn go_on<S: Width, const N: usize>(&mut self, simd: S, objects: &mut Objects<'a>, tile: &RayTile) -> bool {
         let mut farthest = self.found.farthest::<S, N>(simd);
@@ -249,7 +252,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Puts the children of a node that rays may meet on the stack, the nearest one on top.
+/// Puts the children of a node that rays may meet on the stack, the nearest on top.
 #[inline(always)]
 fn open_node<'a, S: Width, const N: usize>(
     simd: S,
@@ -310,19 +313,19 @@ fn open_node<'a, S: Width, const N: usize>(
     }
 }
 
-/// The corners of boxes that are farthest along a vector; the nearest ones if the ends are swapped.
+/// The corners of boxes that are farthest along a vector; the nearest if the ends are swapped.
 #[inline(always)]
 fn corner<S: Width, const N: usize>(along: &[f32; 3], low: &Three<S, N>, high: &Three<S, N>) -> Three<S, N> {
     three!(i => if along[i] > 0.0 { high[i] } else { low[i] })
 }
 
-/// The greatest value of a linear function of the ray in a rectangle.
+/// The maximum of a linear function of the ray in a rectangle.
 #[inline(always)]
 fn most<S: Width, const N: usize>(e: &Three<S, N>, s: [Eight<S, N>; 2], t: [Eight<S, N>; 2]) -> Eight<S, N> {
     e[0] + (e[1] * s[0]).max(e[1] * s[1]) + (e[2] * t[0]).max(e[2] * t[1])
 }
 
-/// A linear function of some rays.
+/// The values of a linear function for some rays.
 #[inline(always)]
 fn along<S: Width, const N: usize>(e: &Three<S, N>, s: Eight<S, N>, t: Eight<S, N>) -> Eight<S, N> {
     e[1].times_plus(s, e[2].times_plus(t, e[0]))
@@ -330,15 +333,15 @@ fn along<S: Width, const N: usize>(e: &Three<S, N>, s: Eight<S, N>, t: Eight<S, 
 
 /// Eight triangles in a tile's axes.
 struct Triangles {
-    /// Edge planes and k as functions of the ray, then margin and relative error of k.
+    /// Edge planes and k as functions of the ray, then the margin and the relative error of k.
     numbers: [[f32; WIDE]; 14],
-    /// Bounds of their places in the tile: least and greatest s, least and greatest t.
+    /// Bounds of their positions in the tile: minimum and maximum s, minimum and maximum t.
     places: [[f32; WIDE]; 4],
-    /// A bit for each: it may be seen; the side of its plane is sure; it has a place.
+    /// Bits for each triangle: it may be visible; the sensor's side of its plane is decided; it has a position.
     live: u32,
     sure: u32,
     placed: u32,
-    /// Its plane's normal points away from the sensor in the tile's axes.
+    /// True if its plane's normal points away from the sensor in the tile's axes.
     averted: u32,
 }
 
@@ -386,7 +389,7 @@ fn set_up<S: Width, const N: usize>(
     let mut live = !out.more_than(greatest).bits();
     live &= !(eight.splat(farthest).more_than(most(&k, s, t) * (one + error)).bits() & sure);
     if sure & in_use != in_use {
-        // Where the side of a plane is not sure, everything is held to the rays.
+        // If the side of a plane is undecided, the triangle is tested against all rays.
         live |= !sure;
     }
     live &= in_use;
@@ -409,6 +412,20 @@ fn set_up<S: Width, const N: usize>(
     }
     margin.store(&mut triangles.numbers[12]);
     error.store(&mut triangles.numbers[13]);
+    locate_corners(eight, view, [&p0, &e1, &e2], reach, &mut triangles);
+    Some(triangles)
+}
+
+/// Bounds the positions of triangles in the tile, given by their first corners and the edges from them.
+#[inline(always)]
+fn locate_corners<S: Width, const N: usize>(
+    eight: Make<S, N>,
+    view: &TreeView<'_>,
+    [p0, e1, e2]: [&Three<S, N>; 3],
+    reach: Eight<S, N>,
+    triangles: &mut Triangles,
+) {
+    let one = eight.splat(1.0);
     let p1: Three<S, N> = three!(i => p0[i] + e1[i]);
     let p2: Three<S, N> = three!(i => p0[i] + e2[i]);
     let depth = p0[0].min(p1[0]).min(p2[0]);
@@ -420,10 +437,9 @@ fn set_up<S: Width, const N: usize>(
         (a.min(b).min(c) - around).store(&mut triangles.places[2 * i]);
         (a.max(b).max(c) + around).store(&mut triangles.places[2 * i + 1]);
     }
-    Some(triangles)
 }
 
-/// Holds the triangles of a block to the rays of a tile. The answer is true if anything was found.
+/// Tests the triangles of a block against the rays of a tile. Returns true if a ray may see one.
 #[inline(always)]
 fn meet_block<S: Width, const N: usize>(
     simd: S,
@@ -465,7 +481,7 @@ fn meet_block<S: Width, const N: usize>(
     any
 }
 
-/// Holds one triangle to the rays of some groups.
+/// Tests one triangle against the rays of some groups.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "they stay in registers")]
 fn meet_triangle<S: Width, const N: usize>(
@@ -514,7 +530,7 @@ fn meet_triangle<S: Width, const N: usize>(
             let at_least = value * down;
             let certain = inside.at_least(margin);
             let better = certain.and(at_least.more_than(eight.load(&found.most[g])));
-            // Where it is certain nothing farther is seen, whether or not it wins.
+            // A certain hit hides everything farther, even if it does not win.
             certain.and(at_least.more_than(before)).select(at_least, before).store(&mut found.least[g]);
             let bits = better.bits();
             if bits != 0 {

@@ -1,18 +1,18 @@
-//! Eight lanes of f32 in as many registers as the processor needs for them. The token of its instruction set goes along in each value, and
-//! everything is inlined into the one task that is compiled for that set.
+//! Eight lanes of f32 in as many registers as the processor needs. Each value carries the token of its instruction set,
+//! and all functions are inlined into the task that is compiled for that set.
 
 use pulp::Simd;
 use std::ops::{Add, Mul, Sub};
 
-/// An instruction set, with the little that `pulp::Simd` leaves open.
+/// An instruction set, with operations that `pulp::Simd` lacks.
 pub(super) trait Width: Simd {
-    /// A product and a sum are one instruction; without one they would be a call into the C library.
+    /// True if a product and a sum are one instruction; without it they would be a call into the C library.
     const FUSED: bool;
 
     /// A bit for each lane of a register.
     fn bits(self, mask: Self::m32s) -> u32;
 
-    /// Asks for some lines of memory early.
+    /// Prefetches some lines of memory.
     #[inline(always)]
     fn fetch<T>(self, _: &T, _lines: usize) {}
 }
@@ -72,7 +72,7 @@ impl Width for pulp::Scalar {
 #[derive(Clone, Copy)]
 pub(super) struct Eight<S: Width, const N: usize>([S::f32s; N], S);
 
-/// Where something holds, lane by lane.
+/// A truth value for each lane.
 #[derive(Clone, Copy)]
 pub(super) struct Mask<S: Width, const N: usize>([S::m32s; N], S);
 
@@ -202,7 +202,7 @@ impl<S: Width, const N: usize> Eight<S, N> {
     lanewise!(over, div_f32s);
     lanewise!(max, max_f32s);
     lanewise!(min, min_f32s);
-    // With the sign turned where a sign bit is set.
+    // Flips the sign of lanes whose sign bit is set in the argument.
     lanewise!(flipped, xor_f32s);
 
     #[inline(always)]
@@ -243,7 +243,7 @@ impl<S: Width, const N: usize> Eight<S, N> {
         Mask(all, self.1)
     }
 
-    /// The least of its lanes, which are numbers.
+    /// The minimum of its lanes, which must not be NaN.
     #[inline(always)]
     pub fn least(self) -> f32 {
         let mut all = [0.0; 8];
@@ -285,7 +285,7 @@ impl<S: Width, const N: usize> Mask<S, N> {
         Eight(all, self.1)
     }
 
-    /// Writes a number where it holds.
+    /// Writes a number to the lanes that are set.
     #[inline(always)]
     pub fn put(self, number: u32, to: &mut [u32; 8]) {
         let (parts, _) = S::as_mut_simd_u32s(to);

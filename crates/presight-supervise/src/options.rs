@@ -1,0 +1,85 @@
+//! Options of supervision.
+
+use presight_model::error::{Error, Result};
+use std::time::Duration;
+
+/// Options of a [`Supervisor`](crate::Supervisor).
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct SuperviseOptions {
+    /// Side of the cells, metres.
+    pub cell: f64,
+    /// Width of the smallest intruder that a free cell cannot hide, metres.
+    pub smallest: f64,
+    /// Assumes that objects in the corridor reach the heights that the sensor sees, as safety scanners do.
+    pub is_upright: bool,
+    /// Speed of the robot along the corridor, metres per second.
+    pub speed: f64,
+    /// Standard deviation of the model's surfaces along their normals, metres.
+    pub model_sigma: f64,
+    /// Maximum expected number of chance intrusions in a frame.
+    pub false_alarms: f64,
+    /// Share of arbitrary readings, which are neither right within the noise nor mixed at an edge of the model.
+    pub arbitrary_readings: f64,
+    /// Maximum time for a frame; `None` for no limit.
+    pub deadline: Option<Duration>,
+}
+
+impl Default for SuperviseOptions {
+    fn default() -> Self {
+        Self {
+            cell: 0.1,
+            smallest: 0.07,
+            is_upright: false,
+            speed: 0.0,
+            model_sigma: 0.0,
+            false_alarms: 1e-4,
+            arbitrary_readings: 1e-3,
+            deadline: None,
+        }
+    }
+}
+
+presight_model::with_options!(
+    SuperviseOptions:
+    with_cell cell: f64,
+    with_smallest smallest: f64,
+    with_upright is_upright: bool,
+    with_speed speed: f64,
+    with_model_sigma model_sigma: f64,
+    with_false_alarms false_alarms: f64,
+    with_arbitrary_readings arbitrary_readings: f64,
+    with_deadline deadline: Option<Duration>,
+);
+
+impl SuperviseOptions {
+    /// Checks all values.
+    ///
+    /// # Errors
+    /// [`presight_model::ErrorKind::Usage`] for the first value that is out of range.
+    pub fn check(&self) -> Result<()> {
+        let positive = |x: f64| x > 0.0 && x.is_finite();
+        let not_negative = |x: f64| x >= 0.0 && x.is_finite();
+        for (name, value, is_sound, remedy) in [
+            ("cell", self.cell, positive(self.cell), "give metres above 0"),
+            ("smallest", self.smallest, positive(self.smallest), "give metres above 0"),
+            ("speed", self.speed, not_negative(self.speed), "give metres per second of at least 0"),
+            ("model_sigma", self.model_sigma, not_negative(self.model_sigma), "give metres of at least 0"),
+            ("false_alarms", self.false_alarms, positive(self.false_alarms), "give a number above 0"),
+            (
+                "arbitrary_readings",
+                self.arbitrary_readings,
+                (0.0..=1.0).contains(&self.arbitrary_readings),
+                "give a share of 0 to 1",
+            ),
+        ] {
+            if !is_sound {
+                return Err(Error::usage(format!("{name} of {value}"), remedy));
+            }
+        }
+        match self.deadline {
+            Some(deadline) if deadline.is_zero() => Err(Error::usage("a deadline of 0", "give a time above 0")),
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! The state of a cell.
+
+use serde::Serialize;
+
+/// The reason why a cell is not seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum UnseenReason {
+    /// Outside of the image, or beyond the sensor's reach.
+    OutOfView,
+    /// Behind a surface of the model.
+    BehindKnown,
+    /// Behind an unknown object.
+    BehindUnknown,
+    /// A missing return: dirt, a black or a shiny surface.
+    NoReturn,
+    /// The rays leave gaps as wide as the smallest intruder.
+    BetweenRays,
+    /// Not evaluated before the deadline.
+    Deadline,
+    /// The corridor is in the world, and the robot's pose is unknown.
+    NoPose,
+}
+
+impl UnseenReason {
+    /// All reasons, in the order of [`CellCounts::unseen`](super::CellCounts::unseen).
+    pub const ALL: [Self; 7] = [
+        Self::OutOfView,
+        Self::BehindKnown,
+        Self::BehindUnknown,
+        Self::NoReturn,
+        Self::BetweenRays,
+        Self::Deadline,
+        Self::NoPose,
+    ];
+
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::OutOfView => "out_of_view",
+            Self::BehindKnown => "behind_known",
+            Self::BehindUnknown => "behind_unknown",
+            Self::NoReturn => "no_return",
+            Self::BetweenRays => "between_rays",
+            Self::Deadline => "deadline",
+            Self::NoPose => "no_pose",
+        }
+    }
+
+    /// The letter of a cell in files.
+    pub fn letter(self) -> char {
+        ['o', 'b', 'u', 'n', 'r', 'd', 'p'][self as usize]
+    }
+}
+
+/// The state of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CellState {
+    /// Rays pass through it without a gap as wide as the smallest intruder.
+    Free,
+    /// A confirmed surface of the model is in it: the object's index.
+    Known(u32),
+    /// Part of an intrusion is in it.
+    Intruded,
+    /// Not seen.
+    Unseen(UnseenReason),
+}
+
+impl CellState {
+    /// The letter in files: `f` free, `k` known, `i` intruded, others as [`UnseenReason::letter`].
+    pub fn letter(self) -> char {
+        match self {
+            Self::Free => 'f',
+            Self::Known(_) => 'k',
+            Self::Intruded => 'i',
+            Self::Unseen(reason) => reason.letter(),
+        }
+    }
+}
