@@ -54,7 +54,8 @@ pub struct WorthPlace {
     pub cell: [u32; 2],
     /// Minimum over the views of the number of visible features.
     pub features: usize,
-    /// Maximum over the views of the standard deviation of the position, metres. Infinite if a view leaves a direction undetermined.
+    /// Maximum over the views of the standard deviation of the position, metres. Infinite if a view leaves a direction
+    /// undetermined.
     pub position_sigma: f64,
     /// Maximum over the views of the standard deviation of the heading, radians.
     pub heading_sigma: f64,

@@ -1,5 +1,5 @@
-//! Logs of a sensor on a robot, made by the ray caster of another library: noise, drop-outs, mixed pixels, people who walk
-//! by, scans that take time, and odometry that slips. It uses neither presight's engines nor its simulator.
+//! Logs of a sensor on a robot, made by the ray caster of another library: noise, drop-outs, mixed pixels, people who
+//! walk by, scans that take time, and odometry that slips. It uses neither presight's engines nor its simulator.
 
 use super::Random;
 use super::oracle::Oracle;
@@ -100,8 +100,8 @@ impl Caster {
         self
     }
 
-    /// The frame whose first column is measured at `time`, with the odometry since `before`. `pose` gives the robot's true
-    /// pose at each time, seconds.
+    /// The frame whose first column is measured at `time`, with the odometry since `before`. `pose` gives the robot's
+    /// true pose at each time, seconds.
     pub fn frame(&mut self, pose: &dyn Fn(f64) -> Pose, time: f64, before: Option<f64>) -> Frame {
         let jitter = self.random.normal(self.jitter);
         let ranges = self.measured(pose, time);

@@ -164,8 +164,8 @@ pub mod truth {
         Alone { oracle: Oracle::new(&only, from).expect("triangles"), from }
     }
 
-    /// True ranges of the pixels that see the intruder in the corridor (robot's frame) and measured it, neither lost nor
-    /// mixed with their background, metres.
+    /// True ranges of the pixels that see the intruder in the corridor (robot's frame) and measured it, neither lost
+    /// nor mixed with their background, metres.
     pub fn pixels(world: &World, alone: &Alone, frame: &Frame, robot: &Pose, corridor: &Corridor) -> Vec<f64> {
         let sensor = frame.sensor();
         let world_from_sensor = *robot * sensor.spec().mount;

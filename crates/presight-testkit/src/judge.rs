@@ -36,8 +36,8 @@ pub struct Judged {
     pub within_of_hits: f64,
 }
 
-/// Compares predictions with measurements. A prediction within `near` of the measurement is right, one more than `far` before it is
-/// too near; both in metres.
+/// Compares predictions with measurements. A prediction within `near` of the measurement is right, one more than `far`
+/// before it is too near; both in metres.
 pub fn judge(environment: &Environment, frames: &[Placed], near: f64, far: f64) -> Judged {
     let oracle = Oracle::new(environment, frames[0].1.translation).expect("polygons");
     let (mut off, mut all, mut nearer) = (Vec::new(), 0.0, 0.0);

@@ -43,7 +43,8 @@ impl Route {
         Self { places: (0..=(seconds / STEP).ceil() as usize).map(place).collect() }
     }
 
-    /// A random route within the environment's `bounds`, at least 0.3 m from all surfaces. Equal seeds give equal routes.
+    /// A random route within the environment's `bounds`, at least 0.3 m from all surfaces. Equal seeds give equal
+    /// routes.
     ///
     /// # Panics
     /// If no free route is found.

@@ -8,8 +8,8 @@ use presight_model::threads::Threads;
 pub struct ExploreOptions {
     /// Maximum number of polygons.
     pub polygons: usize,
-    /// Size of the smallest distinguished pieces of surface, metres; `None` for the size that the noise of the ranges, the spacing of points
-    /// and the number of views support, at least 2 cm.
+    /// Size of the smallest distinguished pieces of surface, metres; `None` for the size that the noise of the ranges,
+    /// the spacing of points and the number of views support, at least 2 cm.
     pub detail: Option<f64>,
     /// Height of the walls from level scans of one row, metres.
     pub wall_height: f64,

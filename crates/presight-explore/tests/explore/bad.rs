@@ -10,7 +10,8 @@ use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
 use presight_testkit::Random;
 
-/// A pane in the window reflects in one frame of nine, as glass does at right angles, and lets the rays of the others through.
+/// A pane in the window reflects in one frame of nine, as glass does at right angles, and lets the rays of the others
+/// through.
 #[test]
 fn glass_that_rays_go_through_leaves_nothing() {
     let with_pane = |appearance: Appearance| {
@@ -53,7 +54,8 @@ fn nothing_flat_is_an_error_or_next_to_nothing() {
     }
 }
 
-/// Trees: points that lie decimetres apart, no two of them on one surface. Nearly all of what lies between them stays open.
+/// Trees: points that lie decimetres apart, no two of them on one surface. Nearly all of what lies between them stays
+/// open.
 #[test]
 fn a_scan_of_leaves_becomes_no_wall() {
     let angles = |first: f64, count: u32| Angles::Uniform { start_deg: first, step_deg: 1.5, count };

@@ -49,7 +49,8 @@ fn a_rough_model_in_millimetres_is_refused() {
     assert!(explored(&turned(DMat3::IDENTITY)).unwrap().unexplained < 0.1);
 }
 
-/// Wrong surfaces are opened and real ones found: the predictions are as good as those of a model without prior knowledge.
+/// Wrong surfaces are opened and real ones found: the predictions are as good as those of a model without prior
+/// knowledge.
 #[test]
 fn a_mirrored_room_and_another_building_become_this_room() {
     let mut hall = empty();

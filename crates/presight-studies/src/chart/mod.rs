@@ -65,7 +65,8 @@ pub struct Series {
 /// use presight_studies::chart::{Chart, Series};
 /// let points = vec![(1.0, 1e-7), (10.0, 0.0)];
 /// let series = vec![Series { name: "cpu".into(), points, ..Series::default() }];
-/// let chart = Chart { title: "error".into(), x_label: "ms".into(), y_label: "m".into(), x_log: true, y_log: true, series };
+/// let (title, x_label, y_label) = ("error".into(), "ms".into(), "m".into());
+/// let chart = Chart { title, x_label, y_label, x_log: true, y_log: true, series };
 /// assert!(chart.svg()?.starts_with("<svg"));
 /// # Ok::<(), presight::Error>(())
 /// ```

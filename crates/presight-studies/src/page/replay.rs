@@ -97,10 +97,12 @@ fn strips(leaves: &[Leaf]) -> Markup {
     html! {
         figure {
             (states(leaves))
-            figcaption.key { @for (name, color) in STATES { span { i style=(format!("background:var({color})")) {} (name) } } }
+            figcaption.key {
+                @for (name, color) in STATES { span { i style=(format!("background:var({color})")) {} (name) } }
+            }
         }
         @for strip in all.iter().filter(|s| s.values.iter().any(Option::is_some)) {
-            figure { (strip.svg(&now(Strip::height()))) figcaption { (strip.name) (range(strip)) } }
+            figure { (strip.svg(Some(&now(Strip::height())))) figcaption { (strip.name) (range(strip)) } }
         }
     }
 }
@@ -150,7 +152,8 @@ fn plan(leaves: &[Leaf]) -> Markup {
     let metres = [5.0, 2.0, 1.0, 0.5, 0.2].map(|d| d * power).into_iter().find(|m| *m <= 0.5 * extent).unwrap_or(power);
     let bar = (SIDE - 40.0) * metres / extent;
     html! {
-        svg.plan viewBox=(format!("0 0 {SIDE} {SIDE}")) role="img" aria-label="trajectory" data-left=(left) data-top=(top) data-extent=(extent) {
+        svg.plan viewBox=(format!("0 0 {SIDE} {SIDE}")) role="img" aria-label="trajectory"
+            data-left=(left) data-top=(top) data-extent=(extent) {
             polyline.reference points=(line(&reference)) {}
             polyline points=(line(&believed)) {}
             line.bar x1="20" x2=(20.0 + bar) y1=(SIDE - 8.0) y2=(SIDE - 8.0) {}

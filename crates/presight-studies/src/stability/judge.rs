@@ -21,7 +21,8 @@ pub(super) struct ErrorSummary {
     /// Maximum relative error of the range at pixels where the true polygon is shown or was left out as edge-on. If
     /// there is a fault, the error at the first faulty pixel.
     pub error: f64,
-    /// Maximum bound over the pixels; each pixel is checked against its own bound. Infinite if a pixel has no finite bound.
+    /// Maximum bound over the pixels; each pixel is checked against its own bound. Infinite if a pixel has no finite
+    /// bound.
     pub bound: f64,
     /// Pixels that differ from the truth in their polygon, or in hitting one at all, as the bounds allow.
     pub other: usize,

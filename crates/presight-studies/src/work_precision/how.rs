@@ -36,7 +36,8 @@ fn of_view(view: ImageVariant, sensor: &Sensor) -> String {
         ),
         (_, Geometry::Scanner(old), Geometry::Scanner(new)) => format!("; sensor file: {}", of_scanner(old, new)),
         (ImageVariant::Reduced(n), _, Geometry::Rays(new)) => format!(
-            "; sensor file: width = {}, height = {}, directions of columns and rows {}, {}, .. from 0 on, of the last beyond it",
+            "; sensor file: width = {}, height = {}, directions of columns and rows {}, {}, .. from 0 on, of the last \
+             beyond it",
             new.width(),
             new.height(),
             n / 2,
