@@ -40,33 +40,20 @@ impl Cell {
     }
 }
 
-/// Resolution and heights of a grid.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct GridOptions {
-    /// Side of a cell, metres.
-    pub cell: f64,
-    /// Lower end of the obstacles' heights above the floor, metres.
-    pub from_height: f64,
-    /// Upper end of these heights, metres.
-    pub to_height: f64,
-    /// Height of the floor, metres; `None` for the lowest large level surface.
-    pub floor: Option<f64>,
-}
-
-impl Default for GridOptions {
-    fn default() -> Self {
-        Self { cell: 0.05, from_height: 0.1, to_height: 1.8, floor: None }
+presight_model::options! {
+    /// Resolution and heights of a grid.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct GridOptions {
+        /// Side of a cell, metres.
+        cell: f64 = 0.05, with_cell;
+        /// Lower end of the obstacles' heights above the floor, metres.
+        from_height: f64 = 0.1, with_from_height;
+        /// Upper end of these heights, metres.
+        to_height: f64 = 1.8, with_to_height;
+        /// Height of the floor, metres; `None` for the lowest large level surface.
+        floor: Option<f64> = None, with_floor;
     }
 }
-
-presight_model::with_options!(
-    GridOptions:
-    with_cell cell: f64,
-    with_from_height from_height: f64,
-    with_to_height to_height: f64,
-    with_floor floor: Option<f64>,
-);
 
 impl GridOptions {
     /// Checks the values.

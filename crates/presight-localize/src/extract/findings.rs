@@ -16,51 +16,27 @@ use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, GreyImage};
 use presight_model::sensor::Sensor;
 
-/// Options of [`find_features`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct FindOptions {
-    /// For grey images.
-    pub edges: EdgeOptions,
-    /// For grey images.
-    pub corners: CornerOptions,
-    /// For range images.
-    pub jumps: JumpOptions,
-    /// For scans with intensities.
-    pub reflectors: ReflectorOptions,
-    /// Covariance of the sensor's position, world axes, metres squared, used to match reflectors by range. `None` if
-    /// unknown; then a reflector at any range matches.
-    pub place: Option<DMat3>,
-    /// Search distance across an edge, in standard deviations of its predicted position.
-    pub deviations: f64,
-    /// Standard deviation of feature positions in the model, pixels, in addition to that of the pose.
-    pub model: f64,
-}
-
-impl Default for FindOptions {
-    fn default() -> Self {
-        Self {
-            edges: EdgeOptions { least_support: 0.7, ..EdgeOptions::default() },
-            corners: CornerOptions::default(),
-            jumps: JumpOptions { least_support: 0.7, ..JumpOptions::default() },
-            reflectors: ReflectorOptions::default(),
-            place: None,
-            deviations: 3.0,
-            model: 0.3,
-        }
+presight_model::options! {
+    /// Options of [`find_features`].
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct FindOptions {
+        /// For grey images.
+        edges: EdgeOptions = EdgeOptions { least_support: 0.7, ..EdgeOptions::default() }, with_edges;
+        /// For grey images.
+        corners: CornerOptions = CornerOptions::default(), with_corners;
+        /// For range images.
+        jumps: JumpOptions = JumpOptions { least_support: 0.7, ..JumpOptions::default() }, with_jumps;
+        /// For scans with intensities.
+        reflectors: ReflectorOptions = ReflectorOptions::default(), with_reflectors;
+        /// Covariance of the sensor's position, world axes, metres squared, used to match reflectors by range. `None`
+        /// if unknown; then a reflector at any range matches.
+        place: Option<DMat3> = None, with_place;
+        /// Search distance across an edge, in standard deviations of its predicted position.
+        deviations: f64 = 3.0, with_deviations;
+        /// Standard deviation of feature positions in the model, pixels, in addition to that of the pose.
+        model: f64 = 0.3, with_model;
     }
 }
-
-presight_model::with_options!(
-    FindOptions:
-    with_edges edges: EdgeOptions,
-    with_corners corners: CornerOptions,
-    with_jumps jumps: JumpOptions,
-    with_reflectors reflectors: ReflectorOptions,
-    with_place place: Option<DMat3>,
-    with_deviations deviations: f64,
-    with_model model: f64,
-);
 
 /// A visible part of a predicted feature, and its classification.
 #[derive(Clone, Debug, PartialEq)]

@@ -19,33 +19,20 @@ use presight_model::world::World;
 use presight_predict::predict::Predictor;
 use presight_render::plan::{Images, Output, Outputs};
 
-/// Errors of a simulated sensor and its robot beyond the sensor's stated noise.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct Disturbances {
-    /// Fraction of the pixels without a measurement.
-    pub drop_outs: f64,
-    /// Fraction of the pixels at a range jump that measure a range in between.
-    pub mixed_pixels: f64,
-    /// Odometry error as a fraction of the distance, one standard deviation.
-    pub slip: f64,
-    /// Odometry error in radians per radian turned and per metre driven, one standard deviation.
-    pub turn_slip: f64,
-}
-
-impl Default for Disturbances {
-    fn default() -> Self {
-        Self { drop_outs: 0.01, mixed_pixels: 0.3, slip: 0.02, turn_slip: 0.02 }
+presight_model::options! {
+    /// Errors of a simulated sensor and its robot beyond the sensor's stated noise.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct Disturbances {
+        /// Fraction of the pixels without a measurement.
+        drop_outs: f64 = 0.01, with_drop_outs;
+        /// Fraction of the pixels at a range jump that measure a range in between.
+        mixed_pixels: f64 = 0.3, with_mixed_pixels;
+        /// Odometry error as a fraction of the distance, one standard deviation.
+        slip: f64 = 0.02, with_slip;
+        /// Odometry error in radians per radian turned and per metre driven, one standard deviation.
+        turn_slip: f64 = 0.02, with_turn_slip;
     }
 }
-
-presight_model::with_options!(
-    Disturbances:
-    with_drop_outs drop_outs: f64,
-    with_mixed_pixels mixed_pixels: f64,
-    with_slip slip: f64,
-    with_turn_slip turn_slip: f64,
-);
 
 /// A range that differs from its neighbour's by more than this fraction is behind an edge.
 const JUMP: f64 = 0.05;
