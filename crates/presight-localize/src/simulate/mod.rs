@@ -11,7 +11,7 @@ pub use surroundings::{Walkers, displace};
 
 use crate::estimate::moved;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, PoseCovariance};
+use presight_model::geometry::{Pose, PoseCovariance, RobotPose};
 use presight_model::measured::{Frame, GreyImage, Measurement, Motion, RangeNoise};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::Sensor;
@@ -43,11 +43,11 @@ const JUMP: f64 = 0.05;
 /// ```
 /// use presight::simulate::{Disturbances, Simulator};
 /// use presight::environment::Environment;
-/// use presight::{Options, Pose, Predictor, World};
+/// use presight::{Options, Predictor, RobotPose, World};
 /// let world = World::new(Environment::new());
 /// let scanner = presight::preset("laser-scanner")?;
 /// let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 7)?;
-/// let frame = simulator.frame(&world, 0.0, &Pose::IDENTITY)?;
+/// let frame = simulator.frame(&world, 0.0, &RobotPose::IDENTITY)?;
 /// assert!(frame.ranges().iter().all(|r| !r.is_finite()), "nothing is there");
 /// # Ok::<(), presight::Error>(())
 /// ```
@@ -112,12 +112,11 @@ impl Simulator {
     ///
     /// # Errors
     /// Errors of [`Predictor::predict_images`], and a stamp that is not finite.
-    pub fn frame(&mut self, world: &World, stamp: f64, world_from_robot: &Pose) -> Result<Frame> {
+    pub fn frame(&mut self, world: &World, stamp: f64, robot: &RobotPose) -> Result<Frame> {
         let asked = [Output::Range, Output::CosIncidence, Output::Echo];
         let outputs = Outputs::of(&asked[..if self.intensities.is_some() { 3 } else { 2 }]);
-        let world_from_sensor = *world_from_robot * self.sensor.spec().mount;
         let mut seen = Images::default();
-        self.predictor.predict_images(world, &self.sensor, &world_from_sensor, outputs, &mut seen)?;
+        self.predictor.predict_images(world, &self.sensor, &robot.sensor(&self.sensor), outputs, &mut seen)?;
         let pixels = self.measure(&seen.range, &seen.cos_incidence);
         let ranges = pixels.iter().map(|p| p.range).collect();
         let mut frame = Frame::new(stamp, self.sensor.clone(), Measurement::Range(ranges))?;
@@ -125,7 +124,8 @@ impl Simulator {
             let values = intensities.measure(&seen.echo, &pixels);
             frame = frame.with_intensities(GreyImage::new(self.sensor.width(), self.sensor.height(), values)?)?;
         }
-        frame.motion = self.before.replace(*world_from_robot).map(|before| self.odometry(&before, world_from_robot));
+        let now = robot.world_from_robot();
+        frame.motion = self.before.replace(now).map(|before| self.odometry(&before, &now));
         Ok(frame)
     }
 
