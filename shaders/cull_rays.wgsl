@@ -11,7 +11,7 @@ struct Bounds {
     rows: vec2f,
     columns: vec2f,
     all_in_front: bool,
-    // Greatest signed distance of a vertex inside each side of the pyramid around the rays.
+    // Maximum signed distance of a vertex inside each side of the pyramid around the rays.
     inside: vec4f,
     in_front: f32,
     // The box around the vertices, their greatest squared distance, and the least distance forward.
@@ -114,7 +114,8 @@ fn bounds_reach(b: Bounds) -> Reach {
             return no_reach();
         }
         let nearest = select(distance, max(distance, b.forward), params.ahead_at != 0u);
-        return Reach(found.rows.x, found.rows.y - found.rows.x, found.columns.x, found.columns.y - found.columns.x, nearest);
+        return Reach(
+            found.rows.x, found.rows.y - found.rows.x, found.columns.x, found.columns.y - found.columns.x, nearest);
     }
     var reach = whole_reach();
     reach.nearest = distance;

@@ -5,7 +5,7 @@ use glam::DMat3;
 use presight_model::environment::{Feature, FeatureShape};
 
 /// Returns the sides of all partly visible patches and fiducials as segments with the id and the polygons of their
-/// patch. The visible share of an area does not say which part of its outline is visible; these segments do.
+/// patch. They show which part of its outline is visible, which the visible share of its area leaves open.
 ///
 /// `placed` are the predicted features in order.
 ///
@@ -19,7 +19,8 @@ use presight_model::environment::{Feature, FeatureShape};
 /// let feature = Feature { id: 7, name: None, object: None, shape, existence, properties };
 /// let half = SeenFeature { visible_fraction: 0.5, ..SeenFeature::whole(&feature) };
 /// let prediction = FeaturePrediction { features: vec![half], ..Default::default() };
-/// let sides = sides_seen_in_part(&[PlacedFeature { feature: feature.into(), object: None, slots: vec![3] }], &prediction);
+/// let placed = PlacedFeature { feature: feature.into(), object: None, slots: vec![3] };
+/// let sides = sides_seen_in_part(&[placed], &prediction);
 /// assert_eq!(sides.len(), 3);
 /// assert_eq!((sides[2].feature.id, sides[2].slots.as_slice()), (7, [3].as_slice()));
 /// assert_eq!(sides[2].feature.shape.points(), [DVec3::Y, DVec3::ZERO]);

@@ -1,7 +1,7 @@
 //! Bounding-box trees over the features of a layer, one per object in its frame. They stay valid when objects move.
 
 use super::PlacedFeature;
-use super::visible::WorkspaceMemory;
+use super::visible::workspaces::WorkspaceMemory;
 use glam::DVec3;
 use presight_model::contour::ContourSet;
 use presight_model::environment::Environment;
@@ -9,7 +9,7 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::Aabb;
 use std::ops::Range;
 
-/// Largest number of features in a leaf.
+/// Maximum number of features in a leaf.
 const LEAF: usize = 8;
 
 /// Features sorted by position, and by the polygons on which they lie.

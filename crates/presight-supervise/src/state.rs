@@ -36,15 +36,8 @@ impl UnseenReason {
 
     /// The name in files.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::OutOfView => "out_of_view",
-            Self::BehindKnown => "behind_known",
-            Self::BehindUnknown => "behind_unknown",
-            Self::NoReturn => "no_return",
-            Self::BetweenRays => "between_rays",
-            Self::Deadline => "deadline",
-            Self::NoPose => "no_pose",
-        }
+        ["out_of_view", "behind_known", "behind_unknown", "no_return", "between_rays", "deadline", "no_pose"]
+            [self as usize]
     }
 
     /// The letter of a cell in files.

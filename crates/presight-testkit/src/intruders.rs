@@ -4,7 +4,7 @@ use super::Random;
 use super::scenes::cuboid;
 use glam::{DVec3, Vec3};
 use presight_model::environment::{Environment, Mesh, NewObject};
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::index::QueryResult;
 use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -132,10 +132,10 @@ pub fn believed(truth: &Pose, [metres, radians]: [f64; 2], random: &mut Random) 
         rotation: (glam::DQuat::from_scaled_axis(turn) * truth.rotation).normalize(),
     };
     let (t, r) = (metres, radians);
-    PoseEstimate::new(pose, PoseCovariance::from_sigmas([t, t, t, r, r, r]))
+    PoseEstimate::new(RobotPose::new(pose), PoseCovariance::from_sigmas([t, t, t, r, r, r]))
 }
 
-/// What rays of the test kit's caster say of an intruder.
+/// The rays of the test kit's caster that hit an intruder.
 pub mod truth {
     use super::INTRUDER;
     use crate::oracle::Oracle;
@@ -164,8 +164,8 @@ pub mod truth {
         Alone { oracle: Oracle::new(&only, from).expect("triangles"), from }
     }
 
-    /// True ranges of the pixels that see the intruder in the corridor (robot's frame) and measured it, neither lost nor
-    /// mixed with their background, metres.
+    /// True ranges of the pixels that see the intruder in the corridor (robot's frame) and measured it, neither lost
+    /// nor mixed with their background, metres.
     pub fn pixels(world: &World, alone: &Alone, frame: &Frame, robot: &Pose, corridor: &Corridor) -> Vec<f64> {
         let sensor = frame.sensor();
         let world_from_sensor = *robot * sensor.spec().mount;
@@ -235,7 +235,7 @@ pub mod truth {
         }
     }
 
-    /// Where a ray enters and leaves a box.
+    /// The distances at which a ray enters and leaves a box.
     fn through(eye: DVec3, ray: DVec3, min: DVec3, max: DVec3) -> Option<(f64, f64)> {
         let (a, b) = ((min - eye) / ray, (max - eye) / ray);
         let (near, far) = (a.min(b).max_element(), a.max(b).min_element());

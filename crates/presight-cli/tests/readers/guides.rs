@@ -62,7 +62,7 @@ fn every_command_of_the_tour_runs() {
 fn every_command_of_the_first_hour_runs() {
     let Some(python) = python() else { return };
     let page = guide("first-hour.md");
-    assert_eq!(blocks(&page).iter().filter(|(language, _)| *language == "sh").count(), 7);
+    assert_eq!(blocks(&page).iter().filter(|(language, _)| *language == "sh").count(), 4);
     assert_eq!(first_failure(&Place::new(), python, &page), None);
     // Without the right sidecar the hall lies on its side, and an assertion of the page fails.
     let fallen = page.replace("up = \"z\"", "up = \"y\"");

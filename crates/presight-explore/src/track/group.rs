@@ -9,7 +9,7 @@ use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_localize::verdict::Verdict;
 use presight_model::environment::Environment;
 use presight_model::error::Result;
-use presight_model::geometry::{InWorld, Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{InWorld, Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, sandwich, turn};
 use presight_model::measured::Frame;
 use presight_model::world::World;
@@ -25,7 +25,8 @@ const MODEL_SIGMA: f64 = 0.005;
 const START_SIGMA: f64 = 0.01;
 /// Standard deviations of the prior of a search, metres and radians.
 const REACH: (f64, f64) = (0.5, 0.4);
-/// Minimum explained share of a frame's points: below it a quick search is given up, and a full search tries more starts.
+/// Minimum explained share of a frame's points: below it a quick search is given up, and a full search tries more
+/// starts.
 const PROMISING: f64 = 0.5;
 /// Minimum share of confirmed pixels among those that can be compared with the model.
 const CONFIRMED: f64 = 0.8;
@@ -45,30 +46,30 @@ pub(crate) struct Searcher {
 
 impl Searcher {
     pub fn new(options: &ExploreOptions) -> Result<Self> {
-        let estimates = |least: f64| EstimateOptions::default().with_least_explained(least);
+        let estimates = |min: f64| EstimateOptions::default().with_least_explained(min);
         Ok(Self { quick: estimator(options, estimates(0.0))?, full: estimator(options, estimates(PROMISING))? })
     }
 
     /// The pose of the robot at a frame, with another pose as the prior; `None` if it is not found.
     fn find(&mut self, world: &World, frame: &Frame, near: Pose) -> Result<Option<PoseEstimate>> {
-        let prior = PoseEstimate::of_sigmas(near, REACH.0, REACH.1);
+        let prior = PoseEstimate::of_sigmas(RobotPose::new(near), REACH.0, REACH.1);
         let first = self.quick.estimate(world, &[frame], &prior)?;
         if first.explained < PROMISING {
             return Ok(None);
         }
-        let prior = PoseEstimate::of_sigmas(first.pose.world_from_robot, 0.5 * REACH.0, 0.5 * REACH.1);
+        let prior = PoseEstimate::of_sigmas(first.pose.robot(), 0.5 * REACH.0, 0.5 * REACH.1);
         Ok(accepted(&self.full.estimate(world, &[frame], &prior)?))
     }
 }
 
-/// True if a pose is as precise as the pose of the first frame, so that its view may be added to the model. A view of a floor alone does not
-/// determine such a pose.
+/// True if a pose is as precise as the pose of the first frame, so that its view may be added to the model. A view of a
+/// floor alone does not determine such a pose.
 fn is_precise(pose: &PoseEstimate) -> bool {
     (0..6).all(|i| pose.covariance.as_rows()[i][i] <= START_SIGMA * START_SIGMA)
 }
 
-/// The pose of an estimate if it is accepted: most pixels confirm the model, few of the comparable ones contradict it, and the pose is
-/// precise.
+/// The pose of an estimate if it is accepted: most pixels confirm the model, few of the comparable ones contradict it,
+/// and the pose is precise.
 fn accepted(estimate: &Estimate) -> Option<PoseEstimate> {
     let count = |verdict: Verdict| estimate.verdicts.iter().map(|v| v.counts()[verdict as usize]).sum::<usize>() as f64;
     let confirmed = count(Verdict::Confirmed);
@@ -79,7 +80,7 @@ fn accepted(estimate: &Estimate) -> Option<PoseEstimate> {
 }
 
 fn robot_pose(view: &View) -> Pose {
-    view.world_from_sensor * view.sensor().spec().mount.inverse()
+    view.pose.robot(view.sensor()).world_from_robot()
 }
 
 /// The model of a group, with the localizer that follows the group in it.
@@ -112,7 +113,7 @@ impl Group {
     /// A group of one frame at the given pose of the robot.
     pub fn new(
         frame: &Frame,
-        world_from_robot: Pose,
+        robot: RobotPose,
         (known, kind): (Environment, Known),
         options: &ExploreOptions,
     ) -> Result<Self> {
@@ -124,17 +125,17 @@ impl Group {
             model: None,
             used: (0, 0),
             covariance: PoseCovariance::ZERO,
-            centre: world_from_robot.translation,
+            centre: robot.world_from_robot().translation,
             last: PoseCovariance::ZERO,
-            found: world_from_robot,
+            found: robot.world_from_robot(),
         };
-        group.push(frame, &PoseEstimate::exact(world_from_robot))?;
+        group.push(frame, &PoseEstimate::exact(robot))?;
         group.build(options)?;
         Ok(group)
     }
 
     fn push(&mut self, frame: &Frame, pose: &PoseEstimate) -> Result<()> {
-        self.views.push(frame, pose.world_from_robot * frame.sensor().spec().mount)?;
+        self.views.push(frame, pose.robot().sensor(frame.sensor()))?;
         (self.found, self.last) = (pose.world_from_robot, pose.covariance);
         self.add_place(self.views.all().len() - 1);
         Ok(())
@@ -152,7 +153,8 @@ impl Group {
         }
     }
 
-    /// Adds the next frame, after tracking it or searching near the last pose. `None` if the frame does not show the model.
+    /// Adds the next frame, after tracking it or searching near the last pose. `None` if the frame does not show the
+    /// model.
     pub fn add(&mut self, frame: &Frame, by: &mut Searcher, options: &ExploreOptions) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, localizer }) = &mut self.model else { return Ok(None) };
         let step = localizer.step(world, frame)?;
@@ -175,7 +177,7 @@ impl Group {
     ) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, localizer }) = &mut self.model else { return Ok(None) };
         let Some(pose) = by.find(world, frame, self.found)? else { return Ok(None) };
-        *localizer = started(world, frame, pose.world_from_robot, options)?;
+        *localizer = started(world, frame, pose.robot(), options)?;
         self.push(frame, &pose)?;
         Ok(Some(pose))
     }
@@ -198,7 +200,7 @@ impl Group {
         let world = World::new(found.environment().clone());
         let localizer = match (self.model.take(), self.views.all().last()) {
             (Some(model), _) => model.localizer,
-            (None, Some(last)) => started(&world, &last.frame()?, self.found, options)?,
+            (None, Some(last)) => started(&world, &last.frame()?, RobotPose::new(self.found), options)?,
             (None, None) => return Ok(()),
         };
         self.model = Some(Model { world, localizer });
@@ -216,9 +218,9 @@ impl Group {
         sum(&self.covariance.moved_by(self.found.translation - self.centre), &self.last)
     }
 
-    /// The pose of another group's frame of reference in this one, from a frame of the other group that shows this model. The covariance
-    /// is that of the other frame's origin. Frames of the other group are tried at the places since the last comparison, the newest
-    /// first, until no `pairs` are left.
+    /// The pose of another group's frame of reference in this one, from a frame of the other group that shows this
+    /// model. The covariance is that of the other frame's origin. Frames of the other group are tried at the places
+    /// since the last comparison, the newest first, until no `pairs` are left.
     pub fn pose_of(&self, other: &Self, by: &mut Searcher, pairs: &mut usize) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, .. }) = &self.model else { return Ok(None) };
         for own in self.places[self.used.1..].iter().rev() {
@@ -229,7 +231,10 @@ impl Group {
                 if let Some(pose) = by.find(world, &view.frame()?, near)? {
                     let own_from_other = pose.world_from_robot * robot_pose(view).inverse();
                     let lever = own_from_other.translation - pose.world_from_robot.translation;
-                    return Ok(Some(PoseEstimate::new(own_from_other, pose.covariance.moved_by(lever))));
+                    return Ok(Some(PoseEstimate::new(
+                        RobotPose::new(own_from_other),
+                        pose.covariance.moved_by(lever),
+                    )));
                 }
             }
         }
@@ -241,7 +246,8 @@ impl Group {
         self.used.1 = self.places.len();
     }
 
-    /// Takes in another group with the pose of its frame of reference. `is_followed` is true if the other group is the followed one.
+    /// Takes in another group with the pose of its frame of reference. `is_followed` is true if the other group is the
+    /// followed one.
     pub fn join(
         &mut self,
         other: Self,
@@ -283,9 +289,10 @@ fn sum(a: &PoseCovariance<InWorld>, b: &PoseCovariance<InWorld>) -> PoseCovarian
     PoseCovariance::from_rows(rows)
 }
 
-/// A localizer after its first frame, at the given pose. It has a time stamp from then on, and predicts the motion until the next frame.
-fn started(world: &World, frame: &Frame, world_from_robot: Pose, options: &ExploreOptions) -> Result<Localizer> {
-    let start = PoseEstimate::of_sigmas(world_from_robot, START_SIGMA, START_SIGMA);
+/// A localizer after its first frame, at the given pose. It has a time stamp from then on, and predicts the motion
+/// until the next frame.
+fn started(world: &World, frame: &Frame, robot: RobotPose, options: &ExploreOptions) -> Result<Localizer> {
+    let start = PoseEstimate::of_sigmas(robot, START_SIGMA, START_SIGMA);
     let estimator = estimator(options, EstimateOptions::default())?;
     let mut localizer = Localizer::new(estimator, start, LocalizeOptions::default());
     localizer.step(world, frame)?;

@@ -5,12 +5,13 @@ use glam::Vec3;
 use presight_explore::{Exploration, ExploreOptions, Known, MAX_MARKS, Views};
 use presight_model::environment::{Appearance, Environment, Mark, MarkKind, Material, NewObject};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
 use presight_testkit::Random;
 
-/// A pane in the window reflects in one frame of nine, as glass does at right angles, and lets the rays of the others through.
+/// A pane in the window reflects in one frame of nine, as glass does at right angles, and lets the rays of the others
+/// through.
 #[test]
 fn glass_that_rays_go_through_leaves_nothing() {
     let with_pane = |appearance: Appearance| {
@@ -21,7 +22,7 @@ fn glass_that_rays_go_through_leaves_nothing() {
         let corners = [[2.0, -0.4, -0.4], [2.0, 0.4, -0.4], [2.0, 0.4, 0.4], [2.0, -0.4, 0.4]].map(Vec3::from);
         let pane = presight_testkit::scenes::mesh(&[corners.to_vec()]).with_materials(|_| material);
         real.insert(NewObject::new("pane", Pose::IDENTITY, pane.into())).unwrap();
-        // The sensor's rays go on to a wall behind.
+        // The sensor's rays continue to a wall behind.
         let wall = [[4.0, -3.0, -2.0], [4.0, 3.0, -2.0], [4.0, 3.0, 2.0], [4.0, -3.0, 2.0]].map(Vec3::from);
         real.insert(NewObject::new("back", Pose::IDENTITY, presight_testkit::scenes::mesh(&[wall.to_vec()]).into()))
             .unwrap();
@@ -45,7 +46,9 @@ fn nothing_flat_is_an_error_or_next_to_nothing() {
     let mut views = Views::default();
     for (k, pose) in ahead(5).enumerate() {
         let ranges = (0..96 * 72).map(|_| random.uniform(1.0, 7.0) as f32).collect();
-        views.push(&Frame::new(k as f64, sensor.clone(), Measurement::Range(ranges)).unwrap(), pose).unwrap();
+        views
+            .push(&Frame::new(k as f64, sensor.clone(), Measurement::Range(ranges)).unwrap(), SensorPose::new(pose))
+            .unwrap();
     }
     match Exploration::of(&Environment::new(), Known::Explored, &views, &ExploreOptions::default()) {
         Err(e) => assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains("nothing flat"), "{e}"),
@@ -53,7 +56,8 @@ fn nothing_flat_is_an_error_or_next_to_nothing() {
     }
 }
 
-/// Trees: points that lie decimetres apart, no two of them on one surface. Nearly all of what lies between them stays open.
+/// Trees: points that lie decimetres apart, no two of them on one surface. Nearly all of what lies between them stays
+/// open.
 #[test]
 fn a_scan_of_leaves_becomes_no_wall() {
     let angles = |first: f64, count: u32| Angles::Uniform { start_deg: first, step_deg: 1.5, count };
@@ -63,7 +67,7 @@ fn a_scan_of_leaves_becomes_no_wall() {
     let share = |ranges: Vec<f32>| {
         let mut views = Views::default();
         let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(ranges)).unwrap();
-        views.push(&frame, Pose::IDENTITY).unwrap();
+        views.push(&frame, SensorPose::IDENTITY).unwrap();
         let found = explore(&Environment::new(), Known::Explored, &views);
         found.areas.surface / (found.areas.surface + found.areas.unseen)
     };

@@ -6,7 +6,7 @@
 //! Flush tiles have no seam, and a box on a floor has an edge along the floor.
 //!
 //! Known limits. The visible side of a surface is known only for closed parts that are thinner than a room and wound
-//! outward. Therefore edges of a sunk box are kept below the floor too, and flush boxes that are not closed show a
+//! outward. Therefore a sunk box also keeps its edges below the floor, and flush boxes that are not closed show a
 //! seam. A curved rim gives no edge if its facets are shorter than the minimum length. If coplanar materials overlap,
 //! the borders of both count. Two edges that cross make a corner only where one of them ends. Patches have no holes for
 //! objects that stand on them.
@@ -18,8 +18,10 @@ mod candidates;
 mod corners;
 mod drafts;
 mod effort;
+mod line;
 mod lines;
 mod patches;
+mod placing;
 mod scanned;
 mod smooth;
 mod solids;
@@ -30,6 +32,7 @@ use drafts::{Draft, by_place, ordered};
 use effort::Effort;
 pub use effort::Progress;
 use glam::DMat3;
+use line::Line;
 use presight_model::environment::{
     DEFAULT_TOLERANCE, Environment, Existence, Feature, FeatureLayer, FeatureShape, Properties,
 };
@@ -38,7 +41,7 @@ use presight_model::geometry::Aabb;
 use presight_model::threads::parallel;
 use rayon::prelude::*;
 use std::sync::Arc;
-use wings::{EdgeClass, EdgeClassifier, Line, Scratch};
+use wings::{EdgeClass, EdgeClassifier, Scratch};
 
 /// Kind of a generated feature. It becomes the feature's name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -104,17 +107,17 @@ impl std::str::FromStr for FeatureKind {
 pub struct GenerateOptions {
     /// Kinds to generate.
     pub kinds: Vec<FeatureKind>,
-    /// Shortest edge, metres.
+    /// Minimum length of an edge, metres.
     pub min_length: f64,
-    /// Smallest patch, square metres.
+    /// Minimum area of a patch, square metres.
     pub min_area: f64,
-    /// Smallest deviation of a crease from flat, radians.
+    /// Minimum deviation of a crease from flat, radians.
     pub crease: f64,
-    /// Largest deviation of a patch from vertical or horizontal, radians.
+    /// Maximum deviation of a patch from vertical or horizontal, radians.
     pub tilt: f64,
     /// Standard deviation of positions along each axis, metres.
     pub sigma: f64,
-    /// Largest distance of facets from their plane, metres; 0 if planes are exact. `None`: for each mesh, three
+    /// Maximum distance of facets from their plane, metres; 0 if planes are exact. `None`: for each mesh, three
     /// standard deviations of its own noise, at most three times `sigma`. Designed meshes have no noise.
     pub flatness: Option<f64>,
     /// Limits candidates to the neighbourhood of this box (world). Features there are as without a limit, but numbered
@@ -174,7 +177,7 @@ pub struct GeneratedLayer {
     pub layer: FeatureLayer,
     /// Numbers of features and candidates.
     pub counts: FeatureCounts,
-    /// Largest distance of facets from their plane, metres: the largest of all objects; 0 if all planes are exact.
+    /// Maximum distance of facets from their plane over all objects, metres; 0 if all planes are exact.
     pub flatness: f64,
 }
 
@@ -273,7 +276,7 @@ fn generate_checked(
         drafts.extend(wanted.map(Draft::from));
     }
     drafts.extend(smooth.into_iter().flat_map(|s| s.drafts));
-    let drafts = drafts::on_the_surface(&soup, drafts, options.min_area, &mut counts.off, effort)?;
+    let drafts = placing::on_the_surface(&soup, drafts, options.min_area, &mut counts.off, effort)?;
     let layer = FeatureLayer {
         tolerance: (scanned::LAYER * flatness).max(DEFAULT_TOLERANCE),
         ..layer_of(environment, class, options, drafts, &mut counts)
@@ -305,7 +308,7 @@ impl GenerateOptions {
         })
     }
 
-    /// Largest distance between touching parts, metres: half a millimetre, or less for short edges.
+    /// Maximum distance between touching parts, metres: half a millimetre, or less for short edges.
     fn touch(&self) -> f64 {
         (0.02 * self.min_length).min(5e-4)
     }

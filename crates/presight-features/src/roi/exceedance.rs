@@ -9,11 +9,11 @@ use super::image_point::{MARGIN, PointDerivatives, dot};
 use super::{SIDES, Side};
 use presight_model::statistics::{Tails, apart, tail_quantile};
 
-/// Largest number of points considered for a side.
-pub const MOST: usize = 3;
+/// Maximum number of points considered for a side.
+pub const MAX_POINTS: usize = 3;
 
-/// Largest number of events.
-pub const EVENTS: usize = 4 * MOST;
+/// Maximum number of events.
+pub const EVENTS: usize = 4 * MAX_POINTS;
 
 /// Thresholds for one confidence, shared by all features.
 #[derive(Clone, Copy)]
@@ -142,7 +142,7 @@ impl Exceedance {
             }
             let first = self.events.len();
             self.take_event(Event { seen: maker, side, deviations: k, rate: 1.0, tail: level.tail, direction: 0 });
-            while self.events.len() < first + MOST
+            while self.events.len() < first + MAX_POINTS
                 && let Some(nearest) =
                     (0..self.near.len()).reduce(|a, b| if self.near[b] < self.near[a] { b } else { a })
             {
@@ -232,7 +232,7 @@ impl Exceedance {
         (alone - joint).max(f64::MIN_POSITIVE)
     }
 
-    /// The same bound with the common number increased by `more`.
+    /// This bound with the common number increased by `more`.
     fn passed(&mut self, more: f64, tails: &Tails) -> f64 {
         self.reach.clear();
         for e in &self.events {

@@ -1,4 +1,5 @@
-//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.2, Fig. 10).
+//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.2,
+//! Fig. 10).
 //!
 //! The errors of the sensor's pose, the object's pose and the feature form one standard normal vector, mapped through
 //! square roots of their covariances (`errors`). The feature passes a side of the box when a linear function of that
@@ -31,7 +32,7 @@ pub use exceedance::Level;
 pub use image_point::differences;
 
 // Constants that the shader shares.
-pub use exceedance::{EVENTS, MOST};
+pub use exceedance::{EVENTS, MAX_POINTS};
 pub use {
     errors::{ERRORS, KIND},
     image_point::MARGIN,
@@ -141,7 +142,7 @@ struct Side {
 /// A point is lost if its clearance falls to this share.
 pub(crate) const GRAZING: f64 = 0.05;
 
-/// The projection counts as linear if errors move a point by at most this share of its lever.
+/// The projection is treated as linear if errors move a point by at most this share of its lever.
 pub const BENT: f64 = 0.02;
 
 /// Beyond this share of the lever, the errors at the sides do not show all of the curvature.
@@ -186,7 +187,7 @@ impl BoxFinder {
         level: &Level,
         method: BoxMethod,
     ) -> Option<Roi> {
-        // Most features are fully visible, so their points are already prepared.
+        // The points of a fully visible feature, which is the common case, are already prepared.
         if self.whole.is_empty() || self.whole != points {
             rough(projection, uncertain, points, &mut self.rough);
             see(uncertain, &self.rough, level.first, &mut self.seen);

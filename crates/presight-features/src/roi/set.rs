@@ -17,7 +17,7 @@ use super::{GRAZING, Projection, SIDES, Side};
 use presight_model::statistics::portable_normal_pair;
 use std::sync::OnceLock;
 
-/// Largest number of samples.
+/// Maximum number of samples.
 const DRAWS: usize = 2048;
 
 /// All samples are drawn if 1 - confidence is below this, otherwise half of them.
@@ -26,7 +26,7 @@ const RARE: f64 = 5e-3;
 /// Number of samples that locate the places for the others.
 const FIRST: usize = 512;
 
-/// Smallest number of these samples whose mean gives a place.
+/// Minimum number of these samples for a mean to give a place.
 const AT_LEAST: usize = 12;
 
 /// Share of samples drawn from the normal distribution itself.
@@ -38,7 +38,7 @@ const WIDE: f64 = 0.3;
 /// Scale of the wider distribution.
 const WIDTH: f64 = 1.6;
 
-/// Largest number of places: two for each side.
+/// Maximum number of places: two for each side.
 const CENTERS: usize = 8;
 
 /// Standard errors added to the estimated probability of the discarded samples.
@@ -49,7 +49,7 @@ const STANDARD_ERRORS: f64 = 2.0;
 const USED: f64 = 0.8;
 
 /// Beyond this share of a turn the box takes all columns.
-const MOST_OF_A_TURN: f64 = 0.9;
+const ALL_AROUND: f64 = 0.9;
 
 /// The errors that are not 0, in order.
 type ActiveErrors = [f64; ERRORS];
@@ -97,7 +97,7 @@ pub(super) fn set_bounds(
         return None;
     }
     // Near a pole the columns mean nothing, and samples miss some of them by chance.
-    let around = projection.turn().filter(|turn| right + left > MOST_OF_A_TURN * turn);
+    let around = projection.turn().filter(|turn| right + left > ALL_AROUND * turn);
     let Some(turn) = around else { return Some([-left, -top, right, bottom]) };
     // A feature that may surround the axis may also lie on it.
     let pole = |row: f64| projection.pole_near(row).unwrap_or(row);
@@ -122,8 +122,8 @@ struct Draw {
 }
 
 impl<P: Projection> Set<'_, P> {
-    /// How far errors move the feature towards each side; `None` if they move it behind the sensor. Points that leave
-    /// the image elsewhere count where they would be.
+    /// The distance by which errors move the feature towards each side; `None` if they move it behind the sensor.
+    /// Points that leave the image elsewhere count where they would be.
     fn reach(&self, few: &ActiveErrors) -> Option<[f64; 4]> {
         let mut xi = ErrorVector::default();
         for (i, x) in self.used.iter().zip(few) {

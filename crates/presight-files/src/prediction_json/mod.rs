@@ -52,7 +52,7 @@ use presight_features::{FeaturePrediction, Hidden as HiddenFeatures, HiddenInter
 use presight_features::{VisibleInterval, image_path};
 use presight_model::environment::{Environment, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::{InWorld, Pose, PoseCovariance};
+use presight_model::geometry::{InWorld, Pose, PoseCovariance, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_predict::virtual_sensors::VirtualReading;
 use presight_read::atomic::write_atomically;
@@ -71,8 +71,8 @@ const FORMAT: u32 = 1;
 pub struct Header {
     /// The sensor.
     pub sensor: Sensor,
-    /// The sensor's pose, body axes.
-    pub world_from_sensor: Pose,
+    /// The sensor's pose.
+    pub pose: SensorPose,
     /// Covariance of that pose.
     pub pose_covariance: Option<PoseCovariance<InWorld>>,
     /// Probability that a feature lies in its region of interest.
@@ -85,9 +85,9 @@ pub struct Header {
 
 impl Header {
     /// The header for a sensor at a pose, without uncertainty. Hidden features are listed in full.
-    pub fn new(sensor: &Sensor, world_from_sensor: Pose) -> Self {
+    pub fn new(sensor: &Sensor, pose: SensorPose) -> Self {
         let (sensor, hidden) = (sensor.clone(), HiddenFeatures::Full);
-        Self { sensor, world_from_sensor, pose_covariance: None, confidence: None, given_up: None, hidden }
+        Self { sensor, pose, pose_covariance: None, confidence: None, given_up: None, hidden }
     }
 }
 
@@ -117,7 +117,7 @@ pub fn to_string(
     environment: &Environment,
     reading: Option<&VirtualReading>,
 ) -> Result<String> {
-    let (t, q) = (header.world_from_sensor.translation, header.world_from_sensor.rotation);
+    let Pose { translation: t, rotation: q } = header.pose.world_from_sensor();
     let mut file = File {
         format: FORMAT,
         sensor: &header.sensor.spec().name,
@@ -324,7 +324,9 @@ fn unseen(seen: &SeenFeature) -> UnseenRecord<'_> {
 
 fn visible(v: &VisibleInterval, seen: &SeenFeature, header: &Header) -> Visible {
     let pixels = match seen.feature.shape {
-        FeatureShape::Contour { .. } => image_path(&header.sensor, &header.world_from_sensor, &seen.points_world, v),
+        FeatureShape::Contour { .. } => {
+            image_path(&header.sensor, &header.pose.world_from_sensor(), &seen.points_world, v)
+        }
         _ => v.pixels.to_vec(),
     };
     Visible { t: v.t, pixels: pixels.iter().map(DVec2::to_array).collect() }
@@ -399,7 +401,7 @@ mod tests {
     #[test]
     fn fields_bear_the_names_that_others_read() {
         let prediction = FeaturePrediction { features: vec![seen()], ..FeaturePrediction::default() };
-        let header = Header::new(&preset("video-camera").unwrap(), Pose::IDENTITY);
+        let header = Header::new(&preset("video-camera").unwrap(), SensorPose::IDENTITY);
         let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
         let json: serde_json::Value = serde_json::from_str(&text).unwrap();
         let keys = |v: &serde_json::Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
@@ -459,7 +461,10 @@ mod tests {
             opening: None,
         };
         let given_up = Some(given_up);
-        let header = Header { given_up: given_up.clone(), ..Header::new(&preset("video-camera").unwrap(), pose) };
+        let header = Header {
+            given_up: given_up.clone(),
+            ..Header::new(&preset("video-camera").unwrap(), SensorPose::new(pose))
+        };
         let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
         let read = parse(&text).unwrap();
         assert_eq!(read.given_up, given_up);

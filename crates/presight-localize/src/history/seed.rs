@@ -4,7 +4,7 @@ use crate::matching::{Detection, ExpectedProperties, Marker, Rejection, Shape};
 use glam::{DMat2, DVec2, DVec3};
 use presight_features::{FeaturePrediction, SeenFeature, VisibleInterval};
 use presight_model::environment::FeatureShape;
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::sensor::Sensor;
 
 /// A feature to follow, from a full prediction or from the caller.
@@ -12,7 +12,8 @@ use presight_model::sensor::Sensor;
 pub struct Seed {
     /// The feature's number.
     pub id: u32,
-    /// Position in the image. The ends of a segment that are not corners of the model may be detected anywhere along it.
+    /// Position in the image. The ends of a segment that are not corners of the model may be detected anywhere along
+    /// it.
     pub shape: Shape,
     /// Covariance of each defining point, pixels squared.
     pub covariances: Vec<DMat2>,
@@ -26,8 +27,8 @@ impl Seed {
     /// may be detected anywhere along the segment. Only features with a predicted covariance in the image become seeds
     /// ([`presight_predict::Request::with_regions`]), and of their properties only the marker is expected: strength and
     /// contrast of a layer may come from another instrument.
-    pub fn of_prediction(prediction: &FeaturePrediction, sensor: &Sensor, world_from_sensor: &Pose) -> Vec<Self> {
-        let view = view(sensor, world_from_sensor);
+    pub fn of_prediction(prediction: &FeaturePrediction, sensor: &Sensor, pose: &SensorPose) -> Vec<Self> {
+        let view = view(sensor, pose);
         prediction.features.iter().filter_map(|seen| Self::of_seen(seen, &view)).collect()
     }
 
@@ -71,8 +72,8 @@ impl Seed {
 }
 
 /// Returns the projection from world points to pixels (column, row) for a sensor at a pose.
-fn view<'a>(sensor: &'a Sensor, world_from_sensor: &Pose) -> impl Fn(DVec3) -> Option<DVec2> + use<'a> {
-    let sensor_from_world = world_from_sensor.inverse();
+fn view<'a>(sensor: &'a Sensor, pose: &SensorPose) -> impl Fn(DVec3) -> Option<DVec2> + use<'a> {
+    let sensor_from_world = pose.world_from_sensor().inverse();
     let image_from_body = sensor.body_from_image().transpose();
     move |p_in_world| {
         let p_in_image = image_from_body * sensor_from_world.transform_point(p_in_world);

@@ -7,13 +7,13 @@ use super::distance::{Distance, FoundLine, Gate, compare, turn_apart};
 use glam::{DMat2, DVec2};
 use std::f64::consts::PI;
 
-/// Largest number of candidates of one feature; the cheapest are kept. An optimum needs one per feature of a group.
+/// Maximum number of candidates of one feature; the cheapest are kept. An optimum needs one per feature of a group.
 pub const MAX_CANDIDATES: usize = 64;
 
 /// Length along a ray over which clutter is uniform, metres.
 const DEPTHS: f64 = 30.0;
-/// Smallest standard deviation of a measured range, metres. With a smaller one, the gate rejects nearly everything.
-const LEAST_DEPTH: f64 = 1e-3;
+/// Minimum standard deviation of a measured range, metres. With a smaller one, the gate rejects nearly everything.
+const MIN_DEPTH_SIGMA: f64 = 1e-3;
 
 /// A feature that may be detected.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,46 +46,25 @@ impl Default for PropertyNoise {
     }
 }
 
-/// Gates and costs.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct Matcher {
-    /// Standard normal deviate of the probability that a feature's own detection passes the gate; 3.09 means 99.9 %.
-    pub gate_deviate: f64,
-    /// Probability that a feature in its window is detected.
-    pub detection_probability: f64,
-    /// Clutter detections per pixel squared.
-    pub clutter_density: f64,
-    /// Factor on the covariance of every detection.
-    pub noise: f64,
-    /// Noise of measured properties.
-    pub properties: PropertyNoise,
-    /// Columns of a full turn, for an image that covers 360 degrees.
-    pub turn: Option<f64>,
-}
-
-impl Default for Matcher {
-    fn default() -> Self {
-        Self {
-            gate_deviate: 3.090_232,
-            detection_probability: 0.9,
-            clutter_density: 1e-4,
-            noise: 1.0,
-            properties: PropertyNoise::default(),
-            turn: None,
-        }
+presight_model::options! {
+    /// Gates and costs.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct Matcher {
+        /// Standard normal deviate of the probability that a feature's own detection passes the gate; 3.09 means 99.9
+        /// %.
+        gate_deviate: f64 = 3.090_232, with_gate_deviate;
+        /// Probability that a feature in its window is detected.
+        detection_probability: f64 = 0.9, with_detection_probability;
+        /// Clutter detections per pixel squared.
+        clutter_density: f64 = 1e-4, with_clutter_density;
+        /// Factor on the covariance of every detection.
+        noise: f64 = 1.0, with_noise;
+        /// Noise of measured properties.
+        properties: PropertyNoise = PropertyNoise::default(), with_properties;
+        /// Columns of a full turn, for an image that covers 360 degrees.
+        turn: Option<f64> = None, with_turn;
     }
 }
-
-presight_model::with_options!(
-    Matcher:
-    with_gate_deviate gate_deviate: f64,
-    with_detection_probability detection_probability: f64,
-    with_clutter_density clutter_density: f64,
-    with_noise noise: f64,
-    with_properties properties: PropertyNoise,
-    with_turn turn: Option<f64>,
-);
 
 /// Candidate pairs of features and detections.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -227,7 +206,7 @@ impl Matcher {
 
     /// Cost of a pair; `None` outside the gate.
     fn cost(&self, feature: &ExpectedFeature, detection: &Detection, level: &Level) -> Option<f64> {
-        // Most pairs fail the position test, which is the cheapest.
+        // The position test is the cheapest and rejects the majority of pairs.
         let distance = compare(feature, detection, self.noise, self.turn, &level.gate)?;
         let alike = self.compare_properties(&feature.properties, &detection.properties)?;
         let dimensions = distance.dimensions + alike.dimensions;
@@ -270,7 +249,7 @@ impl Matcher {
             all.log_clutter = -PI.ln();
         }
         if let (Some(expected), Some(found)) = (&expected.range, &found.range) {
-            add(found.mean - expected.mean, expected.variance + found.variance + LEAST_DEPTH * LEAST_DEPTH);
+            add(found.mean - expected.mean, expected.variance + found.variance + MIN_DEPTH_SIGMA * MIN_DEPTH_SIGMA);
             all.log_clutter -= DEPTHS.ln();
         }
         all.log_volume = 0.5 * volume_squared.ln();

@@ -7,7 +7,7 @@
 //! |---|---|---|
 //! | sift | `sift.wgsl`, from the second wave on | `cpu::cull`, for whole runs |
 //! | cull | `cull.wgsl` and one of `cull_camera`, `cull_scanner`, `cull_rays` | `cpu::setup` |
-//! | setup | `setup.wgsl`, `items_lines` or `items_rays` | `cpu::setup`; `near` for flat polygons around the sensor, in f64 |
+//! | setup | `setup.wgsl`, `items_lines` or `items_rays` | `cpu::setup`; `near` for flat polygons at the sensor |
 //! | raster | `raster_lines.wgsl` or `raster_rays.wgsl`, `key32` or `key64` | `cpu::raster_lines`, `cpu::raster_rays` |
 //! | draw, for [`Raster::Render`] | `shape.wgsl` in setup, `draw.wgsl`, `key32` or `key64` | `cpu::raster_lines` |
 //! | farthest | `farthest.wgsl`, between waves | `cpu::cull` |
@@ -26,6 +26,7 @@ mod grid;
 mod in_time;
 mod layout;
 mod near;
+mod part;
 mod roi;
 mod shaders;
 mod shown;
@@ -48,6 +49,7 @@ use frame_buffers::{FrameBuffers, Readback};
 use geometry::Arena;
 use grid::Tables;
 use layout::{Counters, GridKind};
+use part::Part;
 use presight_features::OcclusionHint;
 use presight_model::clock::Instant;
 use presight_model::error::Result;
@@ -56,12 +58,12 @@ use presight_model::threads::Threads;
 use presight_render::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, Raster, StageName, Stats, Work};
 use shown::Shown;
 use stages::Stages;
-use submission::{Part, Submission};
+use submission::Submission;
 use uploads::FrameUploads;
 use visible::Visible;
 
 /// Maximum number of sensors whose tables are kept.
-const MOST_SENSORS: usize = 8;
+const MAX_SENSORS: usize = 8;
 
 /// The GPU engine with its device and buffers.
 pub struct GpuEngine {
@@ -143,7 +145,7 @@ impl GpuEngine {
         })
     }
 
-    /// Opens the device again with the original options. Nothing of the old device is reused.
+    /// Opens the device again with the original options, without reusing any resource of the old one.
     ///
     /// # Errors
     /// Same as [`GpuEngine::new`]; the engine is then unchanged.
@@ -196,9 +198,10 @@ impl GpuEngine {
     /// Fills the requested images; `depth_z` only for cameras.
     ///
     /// # Errors
-    /// [`presight_model::error::ErrorKind::DeviceLost`]: the engine must be built again. [`presight_model::ErrorKind::DeviceMemory`]: smaller tasks may still
-    /// succeed. The errors of [`presight_model::Pose::check`] if the plan's pose was changed. On a software adapter,
-    /// which leaves work to the CPU, also the errors of [`Threads::new`].
+    /// [`presight_model::error::ErrorKind::DeviceLost`]: the engine must be built again.
+    /// [`presight_model::ErrorKind::DeviceMemory`]: smaller tasks may still succeed. The errors of
+    /// [`presight_model::Pose::check`] if the plan's pose was changed. On a software adapter, which leaves work to the
+    /// CPU, also the errors of [`Threads::new`].
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         plan.world_from_sensor.check()?;
         stats.engine = "gpu";
@@ -244,8 +247,8 @@ impl GpuEngine {
         Ok(())
     }
 
-    /// Largest image side that the hardware rasterizer draws; 0 if it is not used.
-    fn most_rendered(&self) -> u32 {
+    /// Maximum image side that the hardware rasterizer draws; 0 if it is not used.
+    fn max_rendered(&self) -> u32 {
         match self.gpu.raster {
             Raster::Compute => 0,
             Raster::Render => self.gpu.device.limits().max_texture_dimension_2d,
@@ -294,7 +297,7 @@ impl GpuEngine {
             }
             None => {
                 let tables = Tables::new(sensor)?;
-                self.sensors.truncate(MOST_SENSORS - 1);
+                self.sensors.truncate(MAX_SENSORS - 1);
                 self.sensors.insert(0, KnownSensor { sensor: sensor.clone(), tables, shown: Shown::default() });
                 self.placed = false;
             }
@@ -354,7 +357,7 @@ impl GpuEngine {
             (Raster::Compute, _) => "compute spans are the default",
             (Raster::Render, Raster::Compute) => "its fragments cannot write storage on this adapter",
             _ if !is_camera => "the sensor is not a pinhole camera",
-            _ if side > self.most_rendered() => "the image exceeds the adapter's largest render target",
+            _ if side > self.max_rendered() => "the image exceeds the adapter's largest render target",
             _ => "compute spans keep the deadline",
         }
     }

@@ -3,9 +3,10 @@
 use super::buffers::Answer;
 use super::frame_buffers::Readback;
 use super::layout::{self, Counters};
+use super::part::Part;
 use super::stages::Recording;
 use super::testing::Hiding;
-use super::uploads::{FrameUploads, Way};
+use super::uploads::{DrawMode, FrameUploads};
 use super::visible::Visible;
 use super::weigh::{self, Weigh};
 use super::{GpuEngine, KnownSensor};
@@ -13,43 +14,12 @@ use presight_model::error::Result;
 use presight_model::threads::Threads;
 use presight_render::plan::{FramePlan, Images, KeySurface, Keys, SamplesMut, Weighing, resolve_keys};
 
-/// The part of its frames that a submission draws.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Part {
-    /// Everything, from cleared keys to images.
-    Whole,
-    /// Polygons on top of the present keys, which the first piece clears. Only counters are read back.
-    Piece { is_first: bool },
-    /// The images, from the keys that the pieces drew.
-    Images,
-}
-
-impl Part {
-    pub fn clears(self) -> bool {
-        matches!(self, Self::Whole | Self::Piece { is_first: true })
-    }
-
-    pub fn draws(self) -> bool {
-        self != Self::Images
-    }
-
-    pub fn resolves(self) -> bool {
-        !matches!(self, Self::Piece { .. })
-    }
-
-    /// Offset of the counters in a frame's answer, and the size of the answer, bytes.
-    fn counters_and_end(self, frame: &FrameUploads) -> [u64; 2] {
-        let at = Readback::of(frame);
-        if self.resolves() { [at.counters, at.bytes] } else { [0, size_of::<Counters>() as u64] }
-    }
-}
-
 /// What one submission does with the engine's first frames.
 #[derive(Clone, Copy)]
 pub(super) struct Submission<'a> {
     pub frames: usize,
     pub part: Part,
-    /// The frames belong to a batch: no timestamps, and nothing is learnt from one frame for the next.
+    /// The frames belong to a batch: no timestamps, and no frame reuses what the last one showed.
     pub batched: bool,
     /// The measured image to weigh instead of returning images, if the device resolves them.
     pub weighing: Option<&'a Weighing>,
@@ -79,13 +49,13 @@ impl GpuEngine {
         let KnownSensor { tables, shown, .. } = &self.sensors[0];
         let probes =
             !submission.batched && self.opened.1.hiding == Hiding::WhereItPays && !self.known.contains(&tables.kind);
-        let way = if probes { Way { hiding: Hiding::Always, ..self.way() } } else { self.way() };
+        let mode = if probes { DrawMode { hiding: Hiding::Always, ..self.mode() } } else { self.mode() };
         for (frame, plan) in self.frames.iter_mut().zip(plans) {
             frame.in_company = submission.batched || plan.limit.is_some();
             let last = (plan.reuse_visible && !frame.in_company).then_some(shown);
             // Slots keep stamps of earlier frames, so each frame needs a new one.
             frame.near.stamp = self.stamp;
-            frame.fill(plan, tables, &self.arena, way, last);
+            frame.fill(plan, tables, &self.arena, mode, last);
             self.stamp = frame.near.stamp;
             frame.sum_words = submission.weighing.filter(|_| !frame.on_host).map_or(0, weigh::sum_words);
             self.rebind |= self.store.reserve(&self.gpu, frame)?;
@@ -197,11 +167,11 @@ impl GpuEngine {
         self.gpu.done.workgroups.add_many(all);
     }
 
-    fn way(&self) -> Way {
-        Way {
+    fn mode(&self) -> DrawMode {
+        DrawMode {
             software: self.software,
             in_two_passes: !self.gpu.int64,
-            most_rendered: self.most_rendered(),
+            max_rendered: self.max_rendered(),
             hiding: self.opened.1.hiding,
         }
     }

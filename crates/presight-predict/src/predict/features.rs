@@ -283,18 +283,18 @@ impl Predictor {
     fn prove_regions(&mut self, sensor: &Sensor) -> Result<()> {
         let Some(device) = self.engine.device().filter(|device| device.takes_features()) else { return Ok(()) };
         let task = SensorKind::of(sensor);
-        let known = self.proven.regions.iter().find(|(of, _)| *of == task).map(|(_, told)| *told);
-        let told = match known {
-            Some(told) => told,
+        let known = self.proven.regions.iter().find(|(of, _)| *of == task).map(|(_, check)| *check);
+        let check = match known {
+            Some(check) => check,
             None => {
-                let told = Probe::new()?.regions(task, device)?;
-                self.proven.regions.push((task, told));
-                told
+                let check = Probe::new()?.regions(task, device)?;
+                self.proven.regions.push((task, check));
+                check
             }
         };
-        match told.wrong {
+        match check.wrong {
             0 => Ok(()),
-            wrong => Err(faulty(device, format!("makes {wrong} of {} regions of a probe wrong", told.all))),
+            wrong => Err(faulty(device, format!("makes {wrong} of {} regions of a probe wrong", check.all))),
         }
     }
 
@@ -304,7 +304,7 @@ impl Predictor {
     /// [`ErrorKind::Usage`] if the world's version differs from the prediction's; [`ErrorKind::Invalid`] without
     /// `polygon_id`.
     pub fn predict_outlines(&mut self, world: &World, prediction: &Prediction) -> Result<Vec<SeenFeature>> {
-        let Prediction { request, sensor, world_from_sensor, images, .. } = prediction;
+        let Prediction { request, sensor, pose, images, .. } = prediction;
         let (Some(options), Some(seen)) = (&request.features, &prediction.features) else { return Ok(Vec::new()) };
         if world.version() != prediction.world_version {
             let (is, was) = (world.version(), prediction.world_version);
@@ -314,7 +314,7 @@ impl Predictor {
         let placed = self.place(world, sensor, options)?;
         let sides = sides_seen_in_part(&placed.features, seen);
         let settings = FeatureSettings { feature_id: false, hidden: Hidden::Full, ..settings(request) };
-        let predict = || predict_features(world, sensor, world_from_sensor, images, &sides, &settings);
+        let predict = || predict_features(world, sensor, &pose.world_from_sensor(), images, &sides, &settings);
         Ok(self.on_threads(predict)??.features)
     }
 }

@@ -18,7 +18,7 @@ mod tests;
 use super::file;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::limits;
 use std::path::Path;
 
@@ -33,7 +33,7 @@ pub struct Cloud {
     /// Columns and rows of an organized cloud.
     pub size: Option<(u32, u32)>,
     /// The sensor's pose, if the file gives it.
-    pub world_from_sensor: Option<Pose>,
+    pub pose: Option<SensorPose>,
 }
 
 /// Reads a cloud in the format of its file extension.

@@ -3,7 +3,7 @@
 use super::records::{Encoding, Number, Records};
 use super::{Cloud, POINTS_IN_WORLD, header, whole};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::printable::quoted;
 
 /// Maximum count of numbers in one point.
@@ -46,8 +46,8 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
     }
     let points = Records { encoding, count, numbers }.points(body)?;
     // Writers put the identity if they do not know the pose.
-    let world_from_sensor = viewpoint.filter(|pose| *pose != Pose::IDENTITY);
-    Ok(Cloud { points, size: (height > 1).then_some((width as u32, height as u32)), world_from_sensor })
+    let pose = viewpoint.filter(|pose| *pose != Pose::IDENTITY).map(SensorPose::new);
+    Ok(Cloud { points, size: (height > 1).then_some((width as u32, height as u32)), pose })
 }
 
 fn numbers(names: &[String], sizes: &[&str], kinds: &[&str], counts: &[&str]) -> Result<Vec<(String, Number)>> {

@@ -48,7 +48,7 @@ fn every_encoding_gives_the_same_points() {
     for cloud in [with(&pcd("ascii"), text), with(&pcd("binary"), &binary(true))] {
         let cloud = read_bytes("a.pcd", &cloud).unwrap();
         assert_eq!((cloud.points.as_slice(), cloud.size), (TWO.as_slice(), None));
-        assert_eq!(cloud.world_from_sensor.unwrap().translation, DVec3::new(1.0, 2.0, 3.0));
+        assert_eq!(cloud.pose.unwrap().world_from_sensor().translation, DVec3::new(1.0, 2.0, 3.0));
     }
     assert_eq!(read_bytes("a.csv", b"# by hand\n1.5,-2,0.25\n3,4,-1,9\n").unwrap().points, TWO);
     assert_eq!(read_bytes("a.csv", b"i,Z,y,X\n7,0.25,-2,1.5\n7,-1,4,3\n").unwrap().points, TWO);

@@ -12,7 +12,7 @@ use super::{Log, LogFrame, check_time};
 use crate::text::check_json_memory;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::limits;
 use presight_model::sensor::{Angles, Geometry, Noise, SAME_ANGLE, Scanner, Sensor, SensorSpec};
 use serde::Deserialize;
@@ -106,7 +106,7 @@ impl Document {
             range: scan.ranges.iter().zip(&valid).map(reading).collect(),
             intensities: None,
             odometry: scan.odometry_increment.map(|[x, y, yaw]| planar(x, y, yaw)),
-            reference: scan.reference.map(|p| planar(p.x, p.y, p.yaw)),
+            reference: scan.reference.map(|p| RobotPose::new(planar(p.x, p.y, p.yaw))),
         };
         frame.check(self.sensor.spec())?;
         check_time(self.time, frame.time)?;

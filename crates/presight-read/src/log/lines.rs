@@ -20,7 +20,7 @@ use super::{Log, LogFrame, check_time};
 use crate::sensor_toml;
 use crate::text::{FORMAT, check_version, read_line};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::sensor::{Sensor, SensorSpec};
 use serde::de::IgnoredAny;
 use std::fs::File;
@@ -80,7 +80,7 @@ pub fn line(frame: &LogFrame) -> Result<String> {
         let values: Vec<String> = intensities.iter().map(|v| reading(*v)).collect();
         text += &format!(",\"intensities\":[{}]", values.join(","));
     }
-    for (name, p) in [("odometry", &frame.odometry), ("reference", &frame.reference)] {
+    for (name, p) in [("odometry", frame.odometry), ("reference", frame.reference_pose())] {
         if let Some(p) = p {
             text += &format!(",\"{name}\":{:?}", p.to_array());
         }
@@ -97,7 +97,7 @@ fn check_numbers(frame: &LogFrame) -> Result<()> {
     if frame.intensities.iter().flatten().any(|v| v.is_infinite()) {
         return Err(place(Error::invalid("an intensity is infinite", "give intensities from 0 to 1")));
     }
-    [&frame.odometry, &frame.reference]
+    [frame.odometry, frame.reference_pose()]
         .into_iter()
         .flatten()
         .try_for_each(|p| p.check_as(ErrorKind::Invalid))
@@ -147,7 +147,7 @@ impl Lines {
             range: range.into_iter().map(|r| r.0).collect(),
             intensities: intensities.map(|all| all.into_iter().map(|i| i.0).collect()),
             odometry: pose(odometry, "odometry")?,
-            reference: pose(reference, "reference")?,
+            reference: pose(reference, "reference")?.map(RobotPose::new),
         };
         frame.check(self.sensor.spec())?;
         check_time(self.time, frame.time)?;

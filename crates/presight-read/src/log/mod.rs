@@ -23,7 +23,7 @@ pub use readings::Readings;
 use super::file;
 use super::text::read_line;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::limits;
 use presight_model::measured::{GreyImage, Measurement, Motion, OdometryNoise, check_intensities};
 use presight_model::sensor::{Sensor, SensorSpec};
@@ -43,8 +43,8 @@ pub struct LogFrame {
     pub intensities: Option<Vec<f32>>,
     /// The robot's motion since the previous frame, by its odometry: previous_robot_from_robot.
     pub odometry: Option<Pose>,
-    /// A reference for the robot's pose, world_from_robot. Estimates must not use it.
-    pub reference: Option<Pose>,
+    /// A reference for the robot's pose. Estimates must not use it.
+    pub reference: Option<RobotPose>,
 }
 
 impl LogFrame {
@@ -60,6 +60,11 @@ impl LogFrame {
         }
         frame.motion = self.odometry.map(|motion| Motion::of_odometry(motion, noise));
         Ok(frame)
+    }
+
+    /// The transform of the reference.
+    fn reference_pose(&self) -> Option<Pose> {
+        self.reference.map(|robot| robot.world_from_robot())
     }
 
     /// Checks the size of the frame, that time and poses are finite, and that intensities are from 0 to 1.
@@ -83,7 +88,7 @@ impl LogFrame {
             }
             check_intensities(intensities)?;
         }
-        let poses = [("odometry", self.odometry), ("reference", self.reference)];
+        let poses = [("odometry", self.odometry), ("reference", self.reference_pose())];
         for (name, pose) in poses {
             pose.map_or(Ok(()), |p| p.check_as(presight_model::error::ErrorKind::Invalid)).map_err(|e| e.at(name))?;
         }

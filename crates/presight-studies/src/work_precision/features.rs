@@ -14,7 +14,7 @@ use presight_features::{
     Visibility, place, predict_features,
 };
 use presight_model::error::Result;
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_predict::predict::Prediction;
 use presight_predict::request::Request;
@@ -24,7 +24,8 @@ use presight_render::plan::Stats;
 const NEAR: f64 = 6.0;
 /// Sampling step of the truth, pixels.
 const TRUE_STEP: f64 = STEP / 8.0;
-/// Smaller errors than this share of the errors at the usual step are not known: the samples of the truth are as far apart.
+/// Smaller errors than this share of the errors at the usual step are not known: the samples of the truth are as far
+/// apart.
 pub(super) const RESOLUTION: f64 = TRUE_STEP / STEP;
 /// Smaller differences of visible fractions are rounding: lengths are summed in different orders.
 pub(super) const ROUNDING: f64 = 1e-12;
@@ -151,8 +152,10 @@ impl FeaturePath {
         let options = options.with_hidden(Hidden::Full);
         let request = Request::default().with_features(options.with_placed(case.placed.clone()));
         match &mut self.found {
-            Some(found) if found.request == request => predictor.predict_again(world, pose, found)?,
-            found => *found = Some(predictor.predict(world, &self.sensor, pose, &request)?),
+            Some(found) if found.request == request => {
+                predictor.predict_again(world, &SensorPose::new(*pose), found)?
+            }
+            found => *found = Some(predictor.predict(world, &self.sensor, &SensorPose::new(*pose), &request)?),
         }
         // Add entries for features out of view, as in the truth.
         let found = self.found.as_mut();

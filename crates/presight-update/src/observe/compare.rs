@@ -147,7 +147,7 @@ impl Observer<'_> {
             reach: shot.reach,
             priors: self.priors,
         };
-        let pose = readings.register(&PoseEstimate::new(given.world_from_robot, covariance));
+        let pose = readings.register(&PoseEstimate::new(given.robot(), covariance));
         let terms = (!self.priors.is_empty()).then(|| readings.terms(given, &pose, self.views));
         (pose, terms)
     }

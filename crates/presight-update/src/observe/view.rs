@@ -6,7 +6,7 @@ use crate::observe::spot::Spot;
 use crate::observe::terms::Terms;
 use glam::DVec3;
 use presight_localize::verdict::body_from_image;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::measured::RangeNoise;
 use presight_model::statistics::NOISE_BOUND;
 use std::sync::Arc;
@@ -91,8 +91,8 @@ impl View {
     }
 
     /// The pose of the sensor's body axes, for a pose of its image axes.
-    pub fn sensor_pose(&self, world_from_image: &Pose) -> Pose {
-        *world_from_image * body_from_image(&self.pixels.sensor).inverse()
+    pub fn sensor_pose(&self, world_from_image: &Pose) -> SensorPose {
+        SensorPose::new(*world_from_image * body_from_image(&self.pixels.sensor).inverse())
     }
 
     /// The measured point of a sampled pixel, world frame; `None` without a finite reading.
