@@ -59,7 +59,7 @@ pub fn count(case: &Case, sensor: &Sensor, findings: &SiteFindings, seed: u64) -
         [case.map.clone(), case.site.clone(), after(&case.map, findings, true), after(&case.map, findings, false)];
     let mut right = Right::default();
     for k in 0..VIEWS {
-        let pose: Pose = other.way.at(0.5 * k as f64) * sensor.spec().mount;
+        let pose: Pose = other.route.at(0.5 * k as f64) * sensor.spec().mount;
         let ranges = worlds.each_ref().map(|world| {
             let mut images = Images::default();
             let range = Outputs::of(&[Output::Range]);
