@@ -88,10 +88,10 @@ fn merged_of_object(
             thing.spend(steps::FOUND * near.len(), || line.start)?;
             let before = (from, to, near.len());
             // Whatever lies on the line comes first: it decides where the line ends.
-            for most_off in [same, touch] {
+            for max_off in [same, touch] {
                 near.retain(|(o, part)| {
                     let common = part.to.min(to) - part.from.max(from);
-                    let joins = common >= -touch && part.off <= if common > touch { same } else { most_off };
+                    let joins = common >= -touch && part.off <= if common > touch { same } else { max_off };
                     if joins {
                         taken[*o as usize] = true;
                         (from, to) = (from.min(part.from), to.max(part.to));

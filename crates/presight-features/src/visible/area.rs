@@ -177,7 +177,7 @@ impl PatchPixels<'_> {
         if self.query.own.holds(known.slot) {
             return (most <= 1.0 + ON).then_some(SampleState::Seen);
         }
-        let least = self.ranges.map(|range| known.least_share(most, range, rounding));
+        let least = self.ranges.map(|range| known.min_share(most, range, rounding));
         if shares.iter().all(|share| *share > least[0].max(least[1])) {
             return Some(SampleState::Hidden(Reason::Occluded, Some(known.slot)));
         }

@@ -40,7 +40,7 @@ mod tiles;
 mod undecided;
 mod windows;
 mod worker;
-mod workspaces;
+pub(crate) mod workspaces;
 
 use super::tree::{FeatureTree, check_placed, newest};
 use super::{FeaturePrediction, Hidden, PlacedFeature, Reason, STEP, Vantage};
@@ -57,7 +57,6 @@ use presight_model::world::World;
 use presight_render::plan::{IdScheme, Images};
 use rayon::prelude::*;
 use workspaces::IdleWorkspaces;
-pub(crate) use workspaces::WorkspaceMemory;
 
 /// The method that decides visibility.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

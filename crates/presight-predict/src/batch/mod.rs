@@ -134,7 +134,7 @@ struct Lane {
 /// Maximum size of the images of a chunk, bytes.
 const CHUNK_BYTES: usize = 64 << 20;
 /// Maximum number of poses of a chunk.
-const MOST: usize = 512;
+const MAX_CHUNK: usize = 512;
 /// Number of poses that are planned before an engine draws them together.
 const TOGETHER: usize = 64;
 
@@ -189,7 +189,7 @@ impl Predictor {
         let chunk = match request.chunk {
             Some(0) => return Err(Error::usage("a chunk cannot have 0 poses", "give 1 or more, or none")),
             Some(chunk) => chunk,
-            None => (CHUNK_BYTES / task.bytes().max(1)).clamp(count, MOST.max(count)),
+            None => (CHUNK_BYTES / task.bytes().max(1)).clamp(count, MAX_CHUNK.max(count)),
         };
         let chosen = self.choose_way(&task.world, &task.sensor);
         task.by_cut &= self.may_cut();

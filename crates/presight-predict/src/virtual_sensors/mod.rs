@@ -281,7 +281,7 @@ fn scan_row(scanner: &Scanner) -> Option<u32> {
 impl VirtualReading {
     /// A one-line summary for people.
     pub fn summary(&self) -> String {
-        let told = match &self.answer {
+        let summary = match &self.answer {
             Answer::FreeFloor(a) => a.summary(),
             Answer::Edges(a) => a.summary(),
             Answer::RadarLines(a) => a.summary(),
@@ -291,7 +291,7 @@ impl VirtualReading {
             Answer::VerticalPlanes(a) => a.summary(),
             Answer::Docking(a) => a.summary(),
         };
-        format!("{}: {told}", self.name)
+        format!("{}: {summary}", self.name)
     }
 
     /// The pixels marked in the image, if this virtual sensor marks pixels.
