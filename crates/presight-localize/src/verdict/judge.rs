@@ -11,48 +11,24 @@ use presight_model::sensor::Sensor;
 use presight_model::threads::parallel_or_here;
 use rayon::prelude::*;
 
-/// What one measured pixel says of the prediction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Verdict {
-    /// What was predicted is there.
-    Confirmed,
-    /// Something unknown stands before it.
-    Nearer,
-    /// The ray passed through what should be there.
-    Farther,
-    /// Something was predicted, and nothing was measured.
-    NoReturn,
-    /// Nothing was predicted within the sensor's reach, and nothing is there.
-    Beyond,
-    /// An edge, or another surface within the uncertainty of the pixel, explains the measurement as well.
-    Undecidable,
-    /// Nothing was predicted that the measurement could be compared with.
-    NotPredicted,
-}
-
-impl Verdict {
-    /// All of them, in the order of [`Verdicts::counts`].
-    pub const ALL: [Self; 7] = [
-        Self::Confirmed,
-        Self::Nearer,
-        Self::Farther,
-        Self::NoReturn,
-        Self::Beyond,
-        Self::Undecidable,
-        Self::NotPredicted,
-    ];
-
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Confirmed => "confirmed",
-            Self::Nearer => "nearer",
-            Self::Farther => "farther",
-            Self::NoReturn => "no_return",
-            Self::Beyond => "beyond",
-            Self::Undecidable => "undecidable",
-            Self::NotPredicted => "not_predicted",
-        }
+presight_model::words! {
+    /// What one measured pixel says of the prediction.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+    pub enum Verdict {
+        /// What was predicted is there.
+        Confirmed = "confirmed",
+        /// Something unknown stands before it.
+        Nearer = "nearer",
+        /// The ray passed through what should be there.
+        Farther = "farther",
+        /// Something was predicted, and nothing was measured.
+        NoReturn = "no_return",
+        /// Nothing was predicted within the sensor's reach, and nothing is there.
+        Beyond = "beyond",
+        /// An edge, or another surface within the uncertainty of the pixel, explains the measurement as well.
+        Undecidable = "undecidable",
+        /// Nothing was predicted that the measurement could be compared with.
+        NotPredicted = "not_predicted",
     }
 }
 

@@ -7,28 +7,16 @@ use crate::limits;
 use glam::DVec3;
 use std::collections::BTreeMap;
 
-/// What a mark says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MarkKind {
-    /// It may or may not be there. It is predicted; verdicts on it are `undecidable`, and estimates give it no weight.
-    Uncertain,
-    /// It is not there for sensors of the mark's class, and is not predicted for them.
-    Absent,
-    /// No sensor saw this region: the surface of the object may continue in the box. It is left out of predictions.
-    Unseen,
-}
-
-impl MarkKind {
-    /// All kinds.
-    pub const ALL: [Self; 3] = [Self::Uncertain, Self::Absent, Self::Unseen];
-
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Uncertain => "uncertain",
-            Self::Absent => "absent",
-            Self::Unseen => "unseen",
-        }
+crate::words! {
+    /// What a mark says.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum MarkKind {
+        /// It may or may not be there. It is predicted; verdicts on it are `undecidable`, and estimates give it no weight.
+        Uncertain = "uncertain",
+        /// It is not there for sensors of the mark's class, and is not predicted for them.
+        Absent = "absent",
+        /// No sensor saw this region: the surface of the object may continue in the box. It is left out of predictions.
+        Unseen = "unseen",
     }
 }
 
