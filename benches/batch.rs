@@ -11,7 +11,7 @@
 #![allow(missing_docs, reason = "a bench has no interface")]
 #![allow(clippy::print_stdout, reason = "a bench prints a table")]
 
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Noise, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -96,11 +96,15 @@ fn malaga() {
     let ms = least(5, || {
         // Each run gets another version of the world, so that the cut through it is computed each time.
         let world = world.reindexed(&Default::default());
-        let batch = predictor.batch(&world, &sensor, places.clone(), &request).expect("a valid request");
+        let batch = predictor
+            .batch(&world, &sensor, places.iter().copied().map(SensorPose::new), &request)
+            .expect("a valid request");
         best = batch.flat_map(|item| item.expect("a place").headings).fold(f32::NEG_INFINITY, f32::max);
     });
     let first = least(5, || {
-        let batch = predictor.batch(&world, &sensor, places[..1].to_vec(), &request).expect("a valid request");
+        let batch = predictor
+            .batch(&world, &sensor, places[..1].iter().copied().map(SensorPose::new), &request)
+            .expect("a valid request");
         cut_ms += batch.count() as f64;
     });
     let poses = places.len() * 360;
@@ -117,19 +121,23 @@ fn scene(name: &str, preset: &str, poses: &[Pose], world: &World) {
     let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
     let asked = Request::of(outputs);
     let mut images = Images::default();
-    predictor.predict_images(world, &sensor, &poses[0], &asked, &mut images).expect("it predicts");
+    predictor.predict_images(world, &sensor, &SensorPose::new(poses[0]), &asked, &mut images).expect("it predicts");
     let sensed =
         RangeLikelihood::new(&frame_of(&sensor, images.range.clone()), PoseCell::default()).expect("a valid image");
     let request = BatchRequest { likelihood: Some(sensed.clone()), ..BatchRequest::default() };
     let mut sums = [0.0, 0.0];
     let batch = least(3, || {
-        let items = predictor.batch(world, &sensor, poses.to_vec(), &request).expect("a valid request");
+        let items = predictor
+            .batch(world, &sensor, poses.iter().copied().map(SensorPose::new), &request)
+            .expect("a valid request");
         sums[0] = items.map(|item| item.expect("a pose").log_likelihood.unwrap_or(0.0)).sum();
     });
     let single = least(3, || {
         sums[1] = 0.0;
         for pose in poses {
-            predictor.predict_images(world, &sensor, pose, &asked, &mut images).expect("it predicts");
+            predictor
+                .predict_images(world, &sensor, &SensorPose::new(*pose), &asked, &mut images)
+                .expect("it predicts");
             sums[1] += sensed.log_likelihood(&images.range, &images.cos_incidence);
         }
     });
@@ -150,7 +158,9 @@ fn stages(name: &str, preset: &str, poses: &[Pose], world: &World) {
     let sensed = RangeLikelihood::new(&frame_of(&sensor, range), PoseCell::default()).expect("a valid image");
     let request = BatchRequest { likelihood: Some(sensed), statistics: true, ..BatchRequest::default() };
     let (mut times, mut counts) = (BTreeMap::new(), BTreeMap::new());
-    for item in predictor.batch(world, &sensor, poses.to_vec(), &request).expect("a valid request") {
+    for item in
+        predictor.batch(world, &sensor, poses.iter().copied().map(SensorPose::new), &request).expect("a valid request")
+    {
         let stats = item.expect("a pose").stats.expect("statistics were requested");
         for (stage, ms) in stats.stages_ms {
             *times.entry(stage.to_string()).or_insert(0.0) += 1e3 * ms / poses.len() as f64;
@@ -182,7 +192,9 @@ fn memory() {
     let mut predictor = predictor();
     let mut run = |count: usize| {
         let turned = |i: usize| place * Pose::from_xyz_rpy(glam::DVec3::ZERO, 0.0, 0.0, i as f64);
-        let batch = predictor.batch(&world, &sensor, (0..count).map(turned), &request).expect("a valid request");
+        let batch = predictor
+            .batch(&world, &sensor, (0..count).map(turned).map(SensorPose::new), &request)
+            .expect("a valid request");
         assert_eq!(batch.inspect(|item| assert!(item.is_ok(), "a pose")).count(), count);
         peak()
     };

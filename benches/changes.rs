@@ -7,7 +7,7 @@
 
 #![allow(missing_docs, clippy::print_stdout, reason = "a program that prints figures")]
 
-use presight::Scene;
+use presight::{Scene, SensorPose};
 use presight_model::change::Change;
 use presight_model::geometry::Pose;
 use presight_model::world::World;
@@ -82,7 +82,7 @@ fn measure(world: &mut World, kind: Kind, before: Before) -> Result<f64, Box<dyn
     for run in 0..RUNS {
         let change = change(world, kind, run);
         if before != Before::Nobody {
-            predictor.predict(world, &sensor, &Pose::IDENTITY, &Request::default())?;
+            predictor.predict(world, &sensor, &SensorPose::IDENTITY, &Request::default())?;
         }
         let reader = (before == Before::Reader).then(|| world.clone());
         let start = Instant::now();
@@ -106,7 +106,7 @@ fn on_device(world: &mut World, kind: Kind) -> Result<(f64, String), Box<dyn Err
         let back = world.apply(change(world, kind, run))?;
         let mut predict = || {
             let start = Instant::now();
-            predictor.predict(world, &sensor, &Pose::IDENTITY, &Request::default())?;
+            predictor.predict(world, &sensor, &SensorPose::IDENTITY, &Request::default())?;
             Ok::<f64, Box<dyn Error>>(start.elapsed().as_secs_f64())
         };
         let (first, second) = (predict()?, predict()?);

@@ -20,7 +20,7 @@ mod figures;
 #[path = "deadline/steadiness.rs"]
 mod steadiness;
 
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -100,7 +100,7 @@ impl Bench {
         let mut request = Request::default();
         request.deadline = deadline_ms.map(|ms| Duration::from_secs_f64(ms / 1e3));
         let start = self.clock.now();
-        let prediction = self.predictor.predict(&self.world, &self.sensor, pose, &request);
+        let prediction = self.predictor.predict(&self.world, &self.sensor, &SensorPose::new(*pose), &request);
         (self.since(start), prediction.map(|p| p.stats))
     }
 

@@ -6,6 +6,7 @@
 
 use presight::environment::Environment;
 use presight::explore::{Exploration, ExploreOptions, Known, Views};
+use presight_model::geometry::SensorPose;
 use presight_testkit::data;
 #[path = "../crates/presight-explore/tests/explore/factory_drive.rs"]
 mod factory_drive;
@@ -38,7 +39,7 @@ struct Row {
 
 fn explored(views: &[Placed], options: &ExploreOptions) -> (Exploration, Seconds) {
     let mut all = Views::default();
-    views.iter().for_each(|(frame, pose)| all.push(frame, *pose).expect("a sound view"));
+    views.iter().for_each(|(frame, pose)| all.push(frame, SensorPose::new(*pose)).expect("a sound view"));
     timed(|| Exploration::of(&Environment::new(), Known::Explored, &all, options).expect("surfaces"))
 }
 
@@ -89,7 +90,7 @@ fn factory() -> Row {
     let [real, rough] = factory_drive::scenes();
     let (drive, other) = (factory_drive::drive(&real, 36, 0.0), factory_drive::drive(&real, 10, 0.15));
     let mut views = Views::default();
-    drive.iter().for_each(|(frame, pose)| views.push(frame, *pose).expect("a sound view"));
+    drive.iter().for_each(|(frame, pose)| views.push(frame, SensorPose::new(*pose)).expect("a sound view"));
     let (found, seconds) =
         timed(|| Exploration::of(&rough, Known::Rough, &views, &ExploreOptions::default()).expect("surfaces"));
     let judged = judge(found.environment(), &other, 0.05, 0.05);
@@ -103,7 +104,10 @@ fn memory(counts: &[usize]) {
     println!("| frames | MB | frames/s | frames per second of CPU |\n|---|---|---|---|");
     for count in counts {
         let mut views = Views::default();
-        all.iter().cycle().take(*count).for_each(|(frame, pose)| views.push(frame, *pose).expect("a sound view"));
+        all.iter()
+            .cycle()
+            .take(*count)
+            .for_each(|(frame, pose)| views.push(frame, SensorPose::new(*pose)).expect("a sound view"));
         let options = ExploreOptions::default();
         let explore = || Exploration::of(&Environment::new(), Known::Explored, &views, &options).expect("surfaces");
         let (_, seconds) = timed(explore);

@@ -21,7 +21,7 @@ use presight_features::{
     predict_features,
 };
 use presight_model::environment::FeatureShape;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -79,10 +79,10 @@ fn measure(case: &str, sensor: &str, world: &World, pose: &Pose, placed: &[Place
     let request = Request::of(Outputs::of(&[Output::PolygonId]));
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("the CPU engine starts");
     let image_ms = fastest(|| {
-        let seen = predictor.predict(world, &sensor, pose, &request).expect("it predicts");
+        let seen = predictor.predict(world, &sensor, &SensorPose::new(*pose), &request).expect("it predicts");
         assert!(!seen.images.polygon_id.is_empty());
     });
-    let images = predictor.predict(world, &sensor, pose, &request).expect("it predicts").images;
+    let images = predictor.predict(world, &sensor, &SensorPose::new(*pose), &request).expect("it predicts").images;
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
     let cut = pieces(world, &sensor, pose, placed);
     let predict = |list: &[PlacedFeature], visibility| {
@@ -137,10 +137,10 @@ fn with_regions(
     let request = Request::of(Outputs::of(&[Output::PolygonId]))
         .with_features(FeatureOptions::default().with_hidden(Hidden::Full).with_placed(list.to_vec()))
         .with_regions(boxes);
-    let mut prediction = predictor.predict(world, sensor, pose, &request).expect("it predicts");
+    let mut prediction = predictor.predict(world, sensor, &SensorPose::new(*pose), &request).expect("it predicts");
     let mut least = [f64::INFINITY; 2];
     for _ in 0..12 {
-        predictor.predict_again(world, pose, &mut prediction).expect("it predicts");
+        predictor.predict_again(world, &SensorPose::new(*pose), &mut prediction).expect("it predicts");
         let of = |name: &str| {
             prediction.stats.stages_ms.iter().filter(|(n, _)| n.name() == name).map(|(_, ms)| ms).sum::<f64>()
         };

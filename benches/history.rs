@@ -46,7 +46,7 @@ fn scene(count: usize, clutter: usize, is_edge: bool, spread: f64) -> (Tracker, 
     let seed = |(i, at): (usize, &DVec2)| {
         let shape = shape(*at, i, is_edge);
         let covariances = vec![DMat2::IDENTITY; shape.points().len()];
-        Seed { id: i as u32, shape, covariances, properties: properties(i), points_world: Vec::new() }
+        Seed { id: i as u32, shape, covariances, properties: properties(i) }
     };
     let mut tracker = Tracker::new(TrackerOptions::new(ImageExtent::new(640, 480))).expect("valid options");
     tracker.seed(0.0, places.iter().enumerate().map(seed).collect()).expect("valid seeds");

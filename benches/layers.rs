@@ -14,7 +14,7 @@
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a bench prints tables")]
 
 use glam::DVec3;
-use presight::Scene;
+use presight::{Scene, SensorPose};
 use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{BoxOptions, FeatureOptions, Hidden, PlacedFeatures, place};
 use presight_model::environment::{Environment, NewObject};
@@ -137,12 +137,13 @@ fn beside_images(name: &str, world: &World, sensors: &[&str]) {
             let Ok(mut predictor) = Predictor::new(Options::new(backend)) else { continue };
             let sensor = preset(sensor).expect("a preset");
             let request = request(placed.clone(), Hidden::Count);
-            let mut prediction = predictor.predict(world, &sensor, &poses[0], &request).expect("it predicts");
+            let mut prediction =
+                predictor.predict(world, &sensor, &SensorPose::new(poses[0]), &request).expect("it predicts");
             let (mut all, mut counts) = (Vec::new(), Vec::new());
             for pose in &poses {
                 let mut runs = Vec::new();
                 for _ in 0..RUNS {
-                    predictor.predict_again(world, pose, &mut prediction).expect("it predicts");
+                    predictor.predict_again(world, &SensorPose::new(*pose), &mut prediction).expect("it predicts");
                     runs.push(stages(&prediction));
                 }
                 let [image, features, regions] = [0, 1, 2].map(|k| median(runs.iter().map(|run| run[k])));
@@ -183,9 +184,9 @@ fn far(world: World) {
     for hidden in [Hidden::Count, Hidden::Reason, Hidden::Full] {
         let mut predictor = Predictor::new(Options::new(Backend::Cpu)).expect("the CPU engine starts");
         let request = request(placed.clone(), hidden);
-        let mut prediction = predictor.predict(&world, &sensor, &pose, &request).expect("it predicts");
+        let mut prediction = predictor.predict(&world, &sensor, &SensorPose::new(pose), &request).expect("it predicts");
         let mut once = || {
-            predictor.predict_again(&world, &pose, &mut prediction).expect("it predicts");
+            predictor.predict_again(&world, &SensorPose::new(pose), &mut prediction).expect("it predicts");
             stages(&prediction)[1]
         };
         println!("| {hidden:?} | {:.3} |", median((0..20).map(|_| once())));

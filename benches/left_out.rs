@@ -7,7 +7,7 @@
 use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{BoxOptions, FeatureOptions, PlacedFeatures, place};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::index::IndexKind;
 use presight_model::sensor::{Distortion, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -63,8 +63,11 @@ impl Side<'_> {
             prediction.as_ref().is_some_and(|p| p.request == request && std::ptr::eq(p.sensor.grid(), sensor.grid()));
         let start = Instant::now();
         match prediction {
-            Some(last) if same => predictor.predict_again(world, pose, last).expect("a prediction"),
-            _ => *prediction = Some(predictor.predict(world, sensor, pose, &request).expect("a prediction")),
+            Some(last) if same => predictor.predict_again(world, &SensorPose::new(*pose), last).expect("a prediction"),
+            _ => {
+                *prediction =
+                    Some(predictor.predict(world, sensor, &SensorPose::new(*pose), &request).expect("a prediction"))
+            }
         }
         let stats = prediction.as_ref().map(|p| p.stats.clone()).unwrap_or_default();
         (start.elapsed().as_secs_f64() * 1e3, stats)

@@ -18,7 +18,7 @@ mod scenes;
 
 use cameras::SIZE;
 use cpu_time::ProcessTime;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::PixelGrid;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -37,7 +37,7 @@ fn times(predictor: &mut Predictor, world: &World, sensor: &Sensor, poses: &[Pos
     let request = Request::default();
     let mut one = |pose: &Pose| {
         let (start, cpu) = (Instant::now(), ProcessTime::now());
-        predictor.predict(world, sensor, pose, &request).expect("it predicts");
+        predictor.predict(world, sensor, &SensorPose::new(*pose), &request).expect("it predicts");
         [start.elapsed(), cpu.elapsed()].map(|time| time.as_secs_f64() * 1e3)
     };
     one(&poses[0]);

@@ -9,7 +9,7 @@
 
 use glam::DVec3;
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -136,7 +136,9 @@ fn measure(name: &str, world: &World, pose: &Pose) -> Result<()> {
         println!("| {name} | {way} | {ms:.2} ms | {:.3} % | {mean:.2e} m | {most:.2e} m |", 100.0 * others);
     };
     for (way, sensor) in [("spherical spans", sensor.clone()), ("ray table", table(&sensor)?)] {
-        let ms = time(|| predictor.predict_images(world, &sensor, pose, request, &mut images).map(|_| ()))?;
+        let ms = time(|| {
+            predictor.predict_images(world, &sensor, &SensorPose::new(*pose), request, &mut images).map(|_| ())
+        })?;
         print(way, ms, &images);
     }
     for scale in [1.0, 2.0, 4.0] {
@@ -146,7 +148,7 @@ fn measure(name: &str, world: &World, pose: &Pose) -> Result<()> {
         let request = ImageRequest { outputs, ..request };
         let mut curved = Images::default();
         let ms = time(|| {
-            predictor.predict_images(world, &planar, pose, request, &mut images)?;
+            predictor.predict_images(world, &planar, &SensorPose::new(*pose), request, &mut images)?;
             resample(&images, &table, &mut curved);
             Ok(())
         })?;

@@ -8,7 +8,7 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use glam::{DMat3, DVec3};
 use presight_features::{BoxOptions, BoxQuery, FeaturePrediction, PlacedFeature, SeenFeature, add_boxes};
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
@@ -104,7 +104,9 @@ fn prediction(c: &mut Criterion) {
             let mut predictor = Predictor::new(options).expect("the CPU engine starts");
             let request = Request::default();
             group.bench_function(BenchmarkId::new(scene.name, name), |b| {
-                b.iter(|| predictor.predict(&world, &sensor, black_box(&scene.world_from_sensor), &request));
+                b.iter(|| {
+                    predictor.predict(&world, &sensor, &SensorPose::new(black_box(scene.world_from_sensor)), &request)
+                });
             });
         }
     }

@@ -7,7 +7,7 @@
 use glam::DVec3;
 use presight_localize::simulate::{Disturbances, Simulator, displace};
 use presight_localize::verdict::{ExpectedImage, Surfaces};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::sensor::Sensor;
 use presight_model::statistics::median;
 use presight_model::world::World;
@@ -137,12 +137,18 @@ impl<'a> Bench<'a> {
         let environment = with_intruder(self.model.environment(), robot * place, kind);
         let alone = truth::alone(&environment, &(robot * self.sensor.spec().mount));
         let world = World::new(environment);
-        let frame = self.simulator().frame(&world, 0.0, &robot).expect("a frame");
+        let frame = self.simulator().frame(&world, 0.0, &RobotPose::new(robot)).expect("a frame");
         let belief = believed(&robot, DEVIATION, self.random);
         let start = Instant::now();
         let pose = &belief.world_from_robot;
-        ExpectedImage::predict(&mut self.predictor, self.model, &mut Surfaces::default(), self.sensor, pose)
-            .expect("a prediction");
+        ExpectedImage::predict(
+            &mut self.predictor,
+            self.model,
+            &mut Surfaces::default(),
+            self.sensor,
+            &RobotPose::new(*pose),
+        )
+        .expect("a prediction");
         let prediction = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let report =
@@ -175,7 +181,7 @@ impl<'a> Bench<'a> {
         let mut simulator = self.simulator();
         for k in 0..count {
             let robot = poses[k % poses.len()];
-            let frame = simulator.frame(self.model, k as f64, &robot).expect("a frame");
+            let frame = simulator.frame(self.model, k as f64, &RobotPose::new(robot)).expect("a frame");
             let belief = believed(&robot, DEVIATION, self.random);
             let report = self.supervisor.supervise(&mut self.predictor, self.model, &[&frame], Some(&belief));
             alarms += usize::from(!report.expect("a report").intrusions.is_empty());
@@ -193,7 +199,7 @@ impl<'a> Bench<'a> {
         let mut simulator = self.simulator();
         for k in 0..count {
             let robot = poses[k % poses.len()];
-            let frame = simulator.frame(&world, k as f64, &robot).expect("a frame");
+            let frame = simulator.frame(&world, k as f64, &RobotPose::new(robot)).expect("a frame");
             let belief = believed(&robot, DEVIATION, self.random);
             let report = supervisor.supervise(&mut self.predictor, self.model, &[&frame], Some(&belief));
             alarms += usize::from(!report.expect("a report").intrusions.is_empty());

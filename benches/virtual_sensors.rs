@@ -9,7 +9,7 @@ use common::fastest;
 use glam::DVec3;
 use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{FeatureOptions, PlacedFeature, place};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::free_poses::free_poses;
@@ -64,16 +64,16 @@ fn measure(scene: &str, world: &World, pose: &Pose) {
         let outputs = if task.needs_features() { task.outputs().with(Output::PolygonId) } else { task.outputs() };
         let images = Request::of(outputs);
         let image_ms = fastest(|| {
-            predictor.predict(world, &sensor, pose, &images).expect("it predicts");
+            predictor.predict(world, &sensor, &SensorPose::new(*pose), &images).expect("it predicts");
         });
         let options = FeatureOptions::default().with_placed(placed.clone());
         let request = if task.needs_features() { images.with_features(options) } else { images };
-        let prediction = predictor.predict(world, &sensor, pose, &request).expect("it predicts");
+        let prediction = predictor.predict(world, &sensor, &SensorPose::new(*pose), &request).expect("it predicts");
         let features_ms = if placed.is_empty() {
             0.0
         } else {
             let together = fastest(|| {
-                predictor.predict(world, &sensor, pose, &request).expect("it predicts");
+                predictor.predict(world, &sensor, &SensorPose::new(*pose), &request).expect("it predicts");
             });
             together - image_ms
         };

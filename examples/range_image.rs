@@ -4,15 +4,15 @@
 #![allow(clippy::print_stdout, reason = "an example prints its result")]
 
 use glam::DVec3;
-use presight::{Images, Options, Pose, Predictor, Request, Result, Scene};
+use presight::{Images, Options, Predictor, Request, Result, Scene, SensorPose};
 
 /// Predicts range, ids and angle of incidence for each beam.
 pub fn range_image() -> Result<Images> {
     let scene = Scene::open("scenes/room.glb")?;
     let scanner = presight::preset("laser-scanner")?;
-    let world_from_scanner = Pose::from_xyz_rpy(DVec3::new(2.0, 1.5, 1.2), 0.0, 0.0, 0.5);
+    let pose = SensorPose::from_xyz_rpy(DVec3::new(2.0, 1.5, 1.2), 0.0, 0.0, 0.5);
     let mut predictor = Predictor::new(Options::default())?;
-    Ok(predictor.predict(&scene.world, &scanner, &world_from_scanner, &Request::default())?.images)
+    Ok(predictor.predict(&scene.world, &scanner, &pose, &Request::default())?.images)
 }
 
 /// Prints the shortest range.

@@ -8,11 +8,11 @@ use presight::environment::Environment;
 use presight::measured::Frame;
 use presight::simulate::{Disturbances, Simulator};
 use presight::verdict::{self, Verdict, Verdicts};
-use presight::{Options, Pose, PoseEstimate, Predictor, Result, Scene, Sensor, World};
+use presight::{Options, Pose, PoseEstimate, Predictor, Result, RobotPose, Scene, Sensor, World};
 
 /// Where the robot stands, known to 1 cm and 0.005 rad.
 fn believed() -> PoseEstimate {
-    PoseEstimate::of_sigmas(Pose::from_xyz_rpy(DVec3::new(2.0, 1.5, 0.0), 0.0, 0.0, -0.9), 0.01, 0.005)
+    PoseEstimate::of_sigmas(RobotPose::from_xyz_rpy(DVec3::new(2.0, 1.5, 0.0), 0.0, 0.0, -0.9), 0.01, 0.005)
 }
 
 /// Compares a scan with the model.
@@ -31,7 +31,7 @@ pub fn measure() -> Result<Frame> {
     spec.mount = Pose::from_xyz_rpy(DVec3::new(0.2, 0.0, 0.8), 0.0, 0.0, 0.0);
     let disturbances = Disturbances::default();
     let mut simulator = Simulator::new(Predictor::new(Options::default())?, Sensor::new(spec)?, disturbances, 1)?;
-    simulator.frame(&World::new(real), 0.0, &believed().world_from_robot)
+    simulator.frame(&World::new(real), 0.0, &believed().robot())
 }
 
 /// Prints how many beams have each verdict.

@@ -8,7 +8,7 @@ use presight::localize::{EstimateOptions, Estimator};
 use presight::localize::{LocalizeOptions, Localizer, Search, SearchOptions, Step};
 use presight::measured::Frame;
 use presight::simulate::{Disturbances, Simulator};
-use presight::{Options, Pose, Predictor, Result, Scene, Sensor};
+use presight::{Options, Pose, Predictor, Result, RobotPose, Scene, Sensor};
 
 /// The last step of a drive. The robot is known once its phase is `Tracking`.
 pub fn where_am_i(frames: &[Frame]) -> Result<Option<Step>> {
@@ -21,8 +21,8 @@ pub fn where_am_i(frames: &[Frame]) -> Result<Option<Step>> {
 }
 
 /// Where the robot really is in frame `k`.
-pub fn truth(k: u32) -> Pose {
-    Pose::from_xyz_rpy(DVec3::new(1.5 + 0.1 * f64::from(k), 1.5, 0.0), 0.0, 0.0, 0.4)
+pub fn truth(k: u32) -> RobotPose {
+    RobotPose::from_xyz_rpy(DVec3::new(1.5 + 0.1 * f64::from(k), 1.5, 0.0), 0.0, 0.0, 0.4)
 }
 
 /// Stands in for a real robot that drives ahead.

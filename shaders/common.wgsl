@@ -111,7 +111,7 @@ struct Counters {
     cull_y: u32,
     cull_z: u32,
     units: atomic<u32>,
-    // The same for the items of all waves.
+    // The counts for the items of all waves.
     all_raster_groups: atomic<u32>,
     all_raster_y: u32,
     all_raster_z: u32,

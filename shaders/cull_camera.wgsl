@@ -5,10 +5,10 @@ struct Bounds {
     lines: vec2f,
     samples: vec2f,
     all_in_front: bool,
-    // Greatest signed distance of a vertex inside each side of the frustum: left, right, top, bottom.
+    // Maximum signed distance of a vertex inside each side of the frustum: left, right, top, bottom.
     inside: vec4f,
     in_front: f32,
-    // Least depth of a vertex, reduced by its rounding.
+    // Minimum depth of a vertex, reduced by its rounding.
     nearest: f32,
 }
 

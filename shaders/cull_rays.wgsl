@@ -11,7 +11,7 @@ struct Bounds {
     rows: vec2f,
     columns: vec2f,
     all_in_front: bool,
-    // Greatest signed distance of a vertex inside each side of the pyramid around the rays.
+    // Maximum signed distance of a vertex inside each side of the pyramid around the rays.
     inside: vec4f,
     in_front: f32,
     // The box around the vertices, their greatest squared distance, and the least distance forward.

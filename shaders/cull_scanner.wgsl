@@ -7,7 +7,7 @@ struct Bounds {
     least: vec2f,
     greatest: vec2f,
     t: vec2f,
-    // Least ratio of horizontal to full distance of a vertex, squared: small near the poles.
+    // Minimum ratio of horizontal to full distance of a vertex, squared: small near the poles.
     flatness: f32,
     z: vec2f,
     // The box around the vertices, and their greatest squared distance.

@@ -25,7 +25,7 @@ fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_
     }
 }
 
-// Ratio |v| / |d| above which a polygon counts as edge-on.
+// Ratio |v| / |d| above which a polygon is treated as edge-on.
 const FLAT: f32 = 16.0;
 
 // Writes the cap of an edge-on polygon: the axis and squared chord of a cone around its corners; -1 for other polygons.

@@ -28,7 +28,7 @@ fn add_items(at: u32, index: u32, instance: Instance, survivor: Survivor, first_
     }
     let chord = cap_chord(squared);
     let m = vec3f(bitcast<f32>(records[at]), bitcast<f32>(records[at + 1u]), bitcast<f32>(records[at + 2u]));
-    // Most polygons are triangles: further edges would exclude little more.
+    // Three edges suffice for a triangle, the common case: further edges would exclude little more.
     let e0 = edge_of(at, 0u);
     let e1 = edge_of(at, 1u);
     let e2 = edge_of(at, 2u);

@@ -19,7 +19,7 @@ fn rasterize(record: u32, first: u32, count: u32, first_sample: u32, end_sample:
     let edge_count = records[record + RECORD_EDGE_COUNT];
     let axis = vector_of(record + RECORD_CAP_AXIS);
     let chord = float_of(record + RECORD_CAP_CHORD);
-    // Most polygons have at most four edges: these stay in registers over all lines.
+    // The first four edges, all that a common polygon has, stay in registers over all lines.
     let e0 = edge_at(record, edge_count, 0u);
     let e1 = edge_at(record, edge_count, 1u);
     let e2 = edge_at(record, edge_count, 2u);

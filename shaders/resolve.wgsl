@@ -78,7 +78,7 @@ fn scale_of(column: u32, row: u32, index: u32) -> Scale {
     return Scale(1.0, 0.0, false);
 }
 
-// Most neighbours show the same slot, so the load saves atomics.
+// Neighbouring pixels usually show the same slot, so the load saves atomics.
 fn note(slot: u32) {
     let bit = 1u << (slot & 31u);
     if (atomicLoad(&shown[slot >> 5u]) & bit) == 0u {

@@ -76,7 +76,7 @@ struct RoiBox {
 @group(0) @binding(5) var<storage, read_write> boxes: array<RoiBox>;
 
 // The gradient of an image coordinate at a point, for the errors of each kind.
-struct Way {
+struct ImageGradient {
     g: vec3f,
     // Its moments about the sensor and about the feature's first point.
     about_sensor: vec3f,
@@ -130,15 +130,15 @@ fn gradient(p: vec3f, c: u32) -> vec3f {
     return params.by.y / (flat + p.z * p.z) * vec3f(-p.z / length * p.xy, length);
 }
 
-fn way_of(i: u32, c: u32) -> Way {
+fn gradient_at(i: u32, c: u32) -> ImageGradient {
     let point = point_of(i);
     let g = gradient(point.p, c);
     let d = point.p - point_of(0u).p;
-    return Way(g, cross(point.p, g), cross(d, g), vec2f(point.share, point.other_share));
+    return ImageGradient(g, cross(point.p, g), cross(d, g), vec2f(point.share, point.other_share));
 }
 
 // Derivative with respect to an error.
-fn slope(w: Way, i: u32) -> f32 {
+fn slope(w: ImageGradient, i: u32) -> f32 {
     if i < KIND {
         return dot(params.sensor[2u * i].xyz, w.g) + dot(params.sensor[2u * i + 1u].xyz, w.about_sensor);
     }
@@ -151,7 +151,7 @@ fn slope(w: Way, i: u32) -> f32 {
     return w.shares.x * dot(a, w.g) + w.shares.y * dot(b, w.g);
 }
 
-fn product(a: Way, b: Way) -> f32 {
+fn product(a: ImageGradient, b: ImageGradient) -> f32 {
     var sum = 0.0;
     for (var i = 0u; i < KIND + feature.columns; i++) {
         sum += slope(a, i) * slope(b, i);
@@ -211,12 +211,12 @@ fn choose_events(k: f32) {
             if !(sigmas[at][c] > 0.0 && deviations < k + params.margin) {
                 break;
             }
-            let way = way_of(at, c);
+            let along = gradient_at(at, c);
             var known = false;
             for (var e = first; e < event_count; e++) {
                 let other = events[e].point;
-                // Fully correlated points (to f32 precision) count as one.
-                known |= product(way, way_of(other, c)) > (1.0 - 2e-6) * sigmas[at][c] * sigmas[other][c];
+                // Fully correlated points (to f32 precision) are merged.
+                known |= product(along, gradient_at(other, c)) > (1.0 - 2e-6) * sigmas[at][c] * sigmas[other][c];
             }
             if !known {
                 let rate = sigmas[best][c] / sigmas[at][c];
@@ -260,7 +260,7 @@ fn join_events() {
     for (var n = 1u; n < event_count; n++) {
         out[last] = false;
         let b = events[last];
-        let way = way_of(b.point, b.side / 2u);
+        let along = gradient_at(b.point, b.side / 2u);
         let b_sigma = sigmas[b.point][b.side / 2u];
         var next = EVENTS;
         for (var i = 0u; i < event_count; i++) {
@@ -269,7 +269,7 @@ fn join_events() {
             }
             let a = events[i];
             let sigma = sigmas[a.point][a.side / 2u] * b_sigma;
-            let rho = sign_of(a.side) * sign_of(b.side) * product(way_of(a.point, a.side / 2u), way) / sigma;
+            let rho = sign_of(a.side) * sign_of(b.side) * product(gradient_at(a.point, a.side / 2u), along) / sigma;
             if rho > 0.0 {
                 let apart = sqrt(max(1.0 - rho, 0.0) / (1.0 + rho));
                 let a_is_far = a.deviations > b.deviations;
@@ -361,7 +361,7 @@ fn image_moves(p: vec3f, by: vec3f) -> vec2f {
 fn bend(i: u32, side: u32, k: f32) -> vec2f {
     let c = side / 2u;
     let point = point_of(i);
-    let ways = array<Way, 2>(way_of(i, 0u), way_of(i, 1u));
+    let gradients = array<ImageGradient, 2>(gradient_at(i, 0u), gradient_at(i, 1u));
     let scale = sign_of(side) * k / sigmas[i][c];
     var own = vec3f();
     var object_shift = vec3f();
@@ -370,7 +370,7 @@ fn bend(i: u32, side: u32, k: f32) -> vec2f {
     var sensor_turn = vec3f();
     var linear = vec2f();
     for (var e = 0u; e < KIND + feature.columns; e++) {
-        let slopes = vec2f(slope(ways[0], e), slope(ways[1], e));
+        let slopes = vec2f(slope(gradients[0], e), slope(gradients[1], e));
         let xi = scale * slopes[c];
         linear += xi * slopes;
         if e < KIND {
@@ -414,8 +414,8 @@ fn clipped(b: vec4f) -> vec4f {
 
 fn found() -> RoiBox {
     for (var i = 0u; i < feature.points; i++) {
-        let u = way_of(i, 0u);
-        let v = way_of(i, 1u);
+        let u = gradient_at(i, 0u);
+        let v = gradient_at(i, 1u);
         sigmas[i] = sqrt(vec2f(product(u, u), product(v, v)));
     }
     let k = common_deviation();

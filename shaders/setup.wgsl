@@ -31,7 +31,7 @@ fn setup(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) grou
 
 // Ratio |d| / |v| below which f32 cannot decide the side: rounding of two subtractions, a dot product and the normal.
 const EDGE_ON: f32 = 9.6e-7; // 16 * 2^-24
-// The same for |d| / |c|, because of the centre's own rounding, 2^-48 of its coordinates.
+// This ratio for |d| / |c|, because of the centre's own rounding, 2^-48 of its coordinates.
 const EDGE_ON_CENTER: f32 = 2.9e-14; // 2^-45
 
 fn set_up(index: u32, survivor: Survivor) {

@@ -5,7 +5,7 @@
 //! use presight::environment::{Environment, Mesh, NewObject};
 //! use presight::explore::{Exploration, ExploreOptions, Known, Views};
 //! use presight::simulate::{Disturbances, Simulator};
-//! use presight::{Options, Pose, Predictor, World};
+//! use presight::{Options, Pose, Predictor, RobotPose, World};
 //! use glam::{DVec3, Vec3};
 //!
 //! let mut environment = Environment::new();
@@ -17,8 +17,9 @@
 //! let mut simulator = Simulator::new(Predictor::new(Options::default())?, camera, Disturbances::default(), 7)?;
 //! let mut views = Views::default();
 //! for k in 0..8 {
-//!     let pose = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 1.2), 0.0, 0.3, f64::from(k) * 0.1);
-//!     views.push(&simulator.frame(&world, f64::from(k), &pose)?.thinned(8)?, pose)?;
+//!     let robot = RobotPose::from_xyz_rpy(DVec3::new(0.0, 0.0, 1.2), 0.0, 0.3, f64::from(k) * 0.1);
+//!     let frame = simulator.frame(&world, f64::from(k), &robot)?.thinned(8)?;
+//!     views.push(&frame, robot.sensor(frame.sensor()))?;
 //! }
 //! let options = ExploreOptions::default();
 //! let found = Exploration::of(&Environment::new(), Known::Explored, &views, &options)?;

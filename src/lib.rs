@@ -9,7 +9,7 @@
 //! ```
 //! use presight::features::FeatureOptions;
 //! use presight::features::BoxOptions;
-//! use presight::{Options, Pose, Predictor, Request, Scene};
+//! use presight::{Options, Predictor, Request, Scene, SensorPose};
 //! # use presight::features::{GenerateOptions, generate};
 //!
 //! let scene = Scene::open("scenes/room.glb")?;
@@ -18,12 +18,12 @@
 //! # presight::files::write_layer(&layer, &generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer)?;
 //! let features = scene.place_layers(&[layer], "video")?; // written by `presight features`
 //! let camera = presight::preset("realsense-d435")?;
-//! let world_from_camera = Pose::from_xyz_rpy(glam::DVec3::new(0.3, 0.35, 1.65), 0.0, 0.2, 0.66);
+//! let pose = SensorPose::from_xyz_rpy(glam::DVec3::new(0.3, 0.35, 1.65), 0.0, 0.2, 0.66);
 //! let request = Request::default()
 //!     .with_features(FeatureOptions::default().with_placed(features.placed))
 //!     .with_regions(BoxOptions::default().with_sensor_sigmas([0.02, 0.02, 0.0, 0.0, 0.0, 0.01]));
 //! let mut predictor = Predictor::new(Options::default())?;
-//! let seen = predictor.predict(&scene.world, &camera, &world_from_camera, &request)?;
+//! let seen = predictor.predict(&scene.world, &camera, &pose, &request)?;
 //! let found = seen.features.iter().flat_map(|f| &f.features).filter(|f| f.roi.is_some()).count();
 //! assert!(seen.images.range.iter().any(|r| r.is_finite()) && found > 10);
 //! # Ok::<(), presight::Error>(())
@@ -33,7 +33,8 @@
 //!    [`environment::Environment`] (objects, polygons, materials, feature layers) with its spatial index. [`World::apply`]
 //!    makes the next version.
 //! 2. **Sensor.** A [`Sensor`] is a [`preset`], a file ([`files::load_sensor`]), or made from a [`sensor::SensorSpec`].
-//!    [`sensor::ExternalPose`] turns poses of robots, optical frames and glTF axes into the [`Pose`] of a sensor.
+//!    [`SensorPose`] is where it is, and [`RobotPose`] where its robot is; its mount leads from one to the other.
+//!    [`sensor::ExternalPose`] reads poses of robots, optical frames and glTF axes as the pose of a sensor.
 //! 3. **Prediction.** [`Predictor::predict`] takes world, sensor, pose and [`Request`]. Its [`Prediction`] holds the
 //!    [`Images`], the visible parts of each [feature](features) and its [region of interest](features#regions-of-interest), and [`Stats`].
 //!    [`predict`] predicts at many poses and within a deadline.
@@ -47,7 +48,7 @@
 //!
 //! ```
 //! use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
-//! use presight::{Options, Pose, Predictor, Request, World};
+//! use presight::{Options, Pose, Predictor, Request, SensorPose, World};
 //! use std::sync::Arc;
 //!
 //! // A wall 2 m ahead of the origin, 4 m wide and 2 m high.
@@ -60,7 +61,7 @@
 //!
 //! let mut predictor = Predictor::new(Options::default())?;
 //! let scanner = presight::preset("laser-scanner")?; // 361 beams, half a degree apart; 180 looks ahead
-//! let seen = predictor.predict(&World::new(environment), &scanner, &Pose::IDENTITY, &Request::default())?;
+//! let seen = predictor.predict(&World::new(environment), &scanner, &SensorPose::IDENTITY, &Request::default())?;
 //! assert_eq!(seen.images.range[180], 2.0);
 //! assert_eq!(seen.images.object_id[180], 1);
 //! assert_eq!(seen.images.range[0], f32::INFINITY);
@@ -102,7 +103,9 @@ pub mod virtual_sensors;
 #[doc(inline)]
 pub use presight_model::clock::set_clock;
 #[doc(inline)]
-pub use presight_model::geometry::{InObject, InRobot, InWorld, Pose, PoseCovariance, PoseEstimate};
+pub use presight_model::geometry::{
+    InObject, InRobot, InWorld, Pose, PoseCovariance, PoseEstimate, RobotPose, SensorPose,
+};
 #[doc(inline)]
 pub use presight_model::{Change, Error, ErrorKind, Result, Sensor, Threads, World};
 #[doc(inline)]

@@ -6,7 +6,7 @@
 //! use presight::simulate::{Disturbances, Simulator};
 //! use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 //! use presight::sensor::Noise;
-//! use presight::{Options, Pose, Predictor, Sensor, World};
+//! use presight::{Options, Pose, Predictor, RobotPose, Sensor, World};
 //! use glam::{DVec3, Vec3};
 //! use std::sync::Arc;
 //!
@@ -30,12 +30,12 @@
 //! let mut localizer = Localizer::unknown(estimator, search, LocalizeOptions::default());
 //! let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 1)?;
 //! for k in 0..5 {
-//!     let truth = Pose::from_xyz_rpy(DVec3::new(1.0 + 0.2 * f64::from(k), 1.2, 0.0), 0.0, 0.0, 0.4);
+//!     let truth = RobotPose::from_xyz_rpy(DVec3::new(1.0 + 0.2 * f64::from(k), 1.2, 0.0), 0.0, 0.0, 0.4);
 //!     let step = localizer.step(&world, &simulator.frame(&world, f64::from(k), &truth)?)?;
 //!     // One scan is not enough; the fifth is.
 //!     assert!(k > 0 || step.phase == Phase::Candidates, "{}", step.reason);
 //!     assert!(k < 4 || step.phase == Phase::Tracking, "{}", step.reason);
-//!     assert!((step.pose.world_from_robot.translation - truth.translation).length() < 0.05);
+//!     assert!(step.pose.world_from_robot.translation.distance(truth.world_from_robot().translation) < 0.05);
 //! }
 //! # Ok::<(), presight::Error>(())
 //! ```
@@ -50,7 +50,7 @@
 //! use presight::localize::{EstimateOptions, Estimator, Freedom};
 //! use presight::simulate::{Disturbances, Simulator};
 //! use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
-//! use presight::{Options, Pose, PoseEstimate, Predictor, World};
+//! use presight::{Options, Pose, PoseEstimate, Predictor, RobotPose, World};
 //! use glam::{DVec3, Vec3};
 //! use std::sync::Arc;
 //!
@@ -65,9 +65,9 @@
 //! let scanner = presight::preset("laser-scanner")?;
 //! let predictor = || Predictor::new(Options::default());
 //!
-//! let truth = Pose::from_xyz_rpy(DVec3::new(0.02, 0.0, 0.5), 0.0, 0.0, 0.01);
+//! let truth = RobotPose::from_xyz_rpy(DVec3::new(0.02, 0.0, 0.5), 0.0, 0.0, 0.01);
 //! let frame = Simulator::new(predictor()?, scanner, Disturbances::default(), 1)?.frame(&world, 0.0, &truth)?;
-//! let believed = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 0.5), 0.0, 0.0, 0.0);
+//! let believed = RobotPose::from_xyz_rpy(DVec3::new(0.0, 0.0, 0.5), 0.0, 0.0, 0.0);
 //! let options = EstimateOptions::default().with_freedom(Freedom::Planar);
 //! let prior = PoseEstimate::of_sigmas(believed, 0.05, 0.03);
 //! let found = Estimator::new(predictor()?, options).estimate(&world, &[&frame], &prior)?;
@@ -91,7 +91,6 @@
 //!     shape: Shape::Point(at(0.0)),
 //!     covariances: vec![DMat2::IDENTITY],
 //!     properties: ExpectedProperties::default(),
-//!     points_world: Vec::new(),
 //! };
 //! tracker.seed(0.0, vec![seed])?;
 //! let mut areas = Vec::new();
@@ -114,7 +113,9 @@ pub use presight_localize::estimate::{Estimate, EstimateOptions, Estimator, Free
 #[doc(inline)]
 pub use presight_localize::extract::{FeatureClass, Findings, is_sought};
 #[doc(inline)]
-pub use presight_localize::history::{AlternatingTracker, ImageExtent, Seed, Source, Tracker, TrackerOptions};
+pub use presight_localize::history::{
+    End, ImageExtent, Match, MatchOutcome, Seed, Track, Tracker, TrackerOptions, Window,
+};
 #[doc(inline)]
 pub use presight_localize::localize::{
     Candidate, ErrorRates, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step,

@@ -6,15 +6,15 @@
 //!
 //! ```
 //! use presight::environment::Environment;
-//! use presight::{Backend, ErrorKind, Options, Pose, Predictor, Request, World};
+//! use presight::{Backend, ErrorKind, Options, Predictor, Request, SensorPose, World};
 //! use std::time::Duration;
 //! let world = World::new(Environment::new());
 //! let sensor = presight::preset("laser-scanner")?;
 //! let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
 //! let within = |time| Request::default().with_deadline(time);
-//! let seen = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_secs(10)))?;
+//! let seen = predictor.predict(&world, &sensor, &SensorPose::IDENTITY, &within(Duration::from_secs(10)))?;
 //! assert_eq!(seen.degradation(), None);
-//! let impossible = predictor.predict(&world, &sensor, &Pose::IDENTITY, &within(Duration::from_nanos(1)));
+//! let impossible = predictor.predict(&world, &sensor, &SensorPose::IDENTITY, &within(Duration::from_nanos(1)));
 //! assert_eq!(impossible.unwrap_err().kind(), ErrorKind::Deadline);
 //! # Ok::<(), presight::Error>(())
 //! ```

@@ -5,6 +5,6 @@
 #[doc(inline)]
 pub use presight_update::{
     Action, Applied, BestView, DoubtfulObject, Evidence, Finding, FindingKind, Findings, LearnOptions, Learner,
-    Library, LibraryShape, OccupancyThreshold, PendingChanges, PixelCounts, PlannedView, Policy, ProgramRecognizer,
-    Proposal, Recognized, Recognizer, RefinedPose, Tally, UprightBox, Voxel, Voxels,
+    Library, LibraryShape, PendingChanges, PlannedView, Policy, ProgramRecognizer, Proposal, Recognized, Recognizer,
+    RefinedPose, Tally, UprightBox,
 };

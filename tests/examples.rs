@@ -12,7 +12,7 @@ mod what_changed;
 mod where_am_i;
 
 use glam::DVec3;
-use presight::Pose;
+use presight::SensorPose;
 use presight::localize::Phase;
 use presight::verdict::Verdict;
 
@@ -30,7 +30,7 @@ fn the_range_image_shows_the_room() {
 #[test]
 fn visible_features_have_regions() {
     visible_features::main().unwrap();
-    let pose = Pose::from_xyz_rpy(DVec3::new(0.3, 0.35, 1.65), 0.0, 0.2, 0.66);
+    let pose = SensorPose::from_xyz_rpy(DVec3::new(0.3, 0.35, 1.65), 0.0, 0.2, 0.66);
     let seen = visible_features::visible_features(&pose).unwrap().features.unwrap();
     let visible: Vec<_> = seen.features.iter().filter(|f| !f.visible.is_empty()).collect();
     assert!(visible.len() > 10);
@@ -56,7 +56,7 @@ fn the_robot_is_found() {
     where_am_i::main().unwrap();
     let step = where_am_i::where_am_i(&where_am_i::drive().unwrap()).unwrap().expect("a step");
     assert_eq!(step.phase, Phase::Tracking, "{}", step.reason);
-    let off = step.pose.world_from_robot.translation.distance(where_am_i::truth(7).translation);
+    let off = step.pose.world_from_robot.translation.distance(where_am_i::truth(7).world_from_robot().translation);
     assert!(off < 0.05, "{off} m");
 }
 

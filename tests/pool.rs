@@ -6,7 +6,7 @@ use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{
     BoxOptions, BoxQuery, FeatureOptions, FeatureSettings, Visibility, add_boxes, place, predict_features,
 };
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::index::IndexKind;
 use presight_model::threads::Threads;
 use presight_model::world::World;
@@ -96,7 +96,8 @@ fn predict_all(
     let request = Request::of(Outputs::of(&[Output::Range, Output::PolygonId]))
         .with_features(options)
         .with_regions(BoxOptions::default());
-    let prediction = predictor.predict(world, &plan.sensor, &plan.world_from_sensor, &request).unwrap();
+    let prediction =
+        predictor.predict(world, &plan.sensor, &SensorPose::new(plan.world_from_sensor), &request).unwrap();
     assert!(prediction.features.is_some());
 }
 

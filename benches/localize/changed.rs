@@ -10,7 +10,7 @@ use glam::{DVec3, Vec3};
 use presight_localize::estimate::{EstimateOptions, Estimator, nees};
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_model::environment::{Mesh, NewObject};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -105,7 +105,7 @@ fn localized(log: &Log) -> Row {
     let (options, search) = (LocalizeOptions::default(), SearchOptions::default());
     let mut robot = match log.start {
         Some(start) => {
-            let prior = PoseEstimate::of_sigmas(start, 0.05, 2f64.to_radians());
+            let prior = PoseEstimate::of_sigmas(RobotPose::new(start), 0.05, 2f64.to_radians());
             Localizer::new(estimator, prior, options)
         }
         None => {
@@ -411,7 +411,7 @@ fn malaga(given: bool, shares: Shares, seed: u64) -> Option<Log> {
     let map = World::new(changed(map.environment(), shares, &Way::straight([0.0; 3], 0.0, 1.0), seed).0);
     let read: Vec<_> =
         Frames::open(&log, None, &Default::default()).expect("a log").map(|o| o.expect("a scan")).collect();
-    let truth: Vec<Option<Pose>> = read.iter().map(|o| o.reference).collect();
+    let truth: Vec<Option<Pose>> = read.iter().map(|o| o.reference.map(|robot| robot.world_from_robot())).collect();
     let start = truth[0].filter(|_| given);
     Some(Log {
         map,

@@ -9,7 +9,7 @@ use presight_localize::estimate::{
 };
 use presight_localize::localize::{ErrorRates, LocalizeOptions, Localizer, Phase, Step};
 use presight_localize::simulate::{Disturbances, Simulator};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -76,10 +76,10 @@ pub fn alarms(least: u64, rate: f64) {
         let mut simulator =
             Simulator::new(single(), scanner.clone(), Disturbances::default(), seed).expect("a simulator");
         let planar = EstimateOptions::planar().with_model_sigma(0.01);
-        let prior = PoseEstimate::of_sigmas(on_the_way(place, 0), 0.03, 0.02);
+        let prior = PoseEstimate::of_sigmas(RobotPose::new(on_the_way(place, 0)), 0.03, 0.02);
         let mut robot = Localizer::new(Estimator::new(single(), planar), prior, options);
         for k in 0..FRAMES {
-            let frame = simulator.frame(&world, k as f64, &on_the_way(place, k)).expect("a frame");
+            let frame = simulator.frame(&world, k as f64, &RobotPose::new(on_the_way(place, k))).expect("a frame");
             let step = robot.step(&world, &frame).expect("a step");
             frames.fetch_add(1, Ordering::Relaxed);
             if step.phase == Phase::Lost {
@@ -198,7 +198,7 @@ fn drive(world: &World, place: &Pose, sensors: Vec<Sensor>, frames: usize) -> Er
     for k in 0..frames {
         let truth = on_the_way(place, k);
         let seen: Vec<Frame> =
-            simulators.iter_mut().map(|s| s.frame(world, k as f64, &truth).expect("a frame")).collect();
+            simulators.iter_mut().map(|s| s.frame(world, k as f64, &RobotPose::new(truth)).expect("a frame")).collect();
         let all: Vec<&Frame> = seen.iter().collect();
         let prior = drawn_around(&truth, (0.02, 0.01), options.freedom, &mut random);
         let start = ProcessTime::now();
@@ -219,7 +219,7 @@ fn drawn_around(truth: &Pose, (metres, radians): (f64, f64), freedom: Freedom, r
         let normal = radius * random.uniform(0.0, std::f64::consts::TAU).cos();
         off[*axis] = normal * if *axis < 3 { metres } else { radians };
     }
-    PoseEstimate::of_sigmas(moved(truth, &off), metres, radians)
+    PoseEstimate::of_sigmas(RobotPose::new(moved(truth, &off)), metres, radians)
 }
 
 /// A depth camera with lens distortion, noise that grows with the square of the range, and angular noise.
@@ -246,7 +246,7 @@ pub fn noise(frames: usize) {
         let (mut random, mut errors) = (Random(7), Errors::default());
         for k in 0..frames {
             let truth = on_the_way(&place, k);
-            let frame = simulator.frame(&world, k as f64, &truth).expect("a frame");
+            let frame = simulator.frame(&world, k as f64, &RobotPose::new(truth)).expect("a frame");
             let prior = drawn_around(&truth, (0.02, 0.01), Freedom::Full, &mut random);
             let start = ProcessTime::now();
             let found = estimator.estimate(&world, &[&frame], &prior).expect("an estimate");
@@ -292,12 +292,16 @@ pub fn fidelity(frames: usize) {
         let mut errors = Errors::default();
         for k in 0..frames {
             let truth = on_the_way(&place, k);
-            let seen = simulator.frame(&world, k as f64, &truth).expect("a frame");
+            let seen = simulator.frame(&world, k as f64, &RobotPose::new(truth)).expect("a frame");
             let frame = Frame::new(k as f64, model.clone(), Measurement::Range(seen.ranges().to_vec()));
             let start = ProcessTime::now();
             let before = on_the_way(&place, k.saturating_sub(1));
             let found = estimator
-                .estimate(&world, &[&frame.expect("a frame")], &PoseEstimate::of_sigmas(before, 0.03, 0.03))
+                .estimate(
+                    &world,
+                    &[&frame.expect("a frame")],
+                    &PoseEstimate::of_sigmas(RobotPose::new(before), 0.03, 0.03),
+                )
                 .expect("an estimate");
             errors.cpu_ms += 1e3 * start.elapsed().as_secs_f64();
             errors.add(&found, &truth);
@@ -337,7 +341,7 @@ pub fn kidnapped() {
         let search = presight_localize::localize::SearchOptions::default().with_floor(height).with_cell(0.5);
         let mut robot = Localizer::new(
             Estimator::new(predictor(), options),
-            PoseEstimate::of_sigmas(on_the_way(pair[0], 0), 0.03, 0.02),
+            PoseEstimate::of_sigmas(RobotPose::new(on_the_way(pair[0], 0)), 0.03, 0.02),
             LocalizeOptions::default(),
         );
         if robot.search_everywhere(&world, &scanner, search).is_err() {
@@ -350,7 +354,7 @@ pub fn kidnapped() {
         let (mut lost_at, mut found_at, mut reason) = (None, None, String::new());
         for k in 0..35 {
             let truth = if k < 15 { on_the_way(pair[0], k) } else { on_the_way(&there, k) };
-            let mut frame = simulator.frame(&world, k as f64, &truth).expect("a frame");
+            let mut frame = simulator.frame(&world, k as f64, &RobotPose::new(truth)).expect("a frame");
             if let Some(motion) = frame.motion.as_mut().filter(|_| k == 15) {
                 motion.previous_from_current = Pose::IDENTITY;
             }

@@ -13,7 +13,7 @@ use cpu_time::ProcessTime;
 use glam::DVec3;
 use presight_localize::estimate::{EstimateOptions, Estimator, Freedom, measured_points};
 use presight_localize::simulate::{Disturbances, Simulator};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::measured::Frame;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -130,7 +130,11 @@ fn livingroom() -> Option<Case> {
     // The prior of each frame is the previous frame's reference.
     let known = |pair: &[Observation]| {
         let prior = PoseEstimate::of_sigmas(pair[0].reference?, 0.03, 0.02);
-        Some(Known { frame: pair[1].frame.thinned(4).expect("a stride"), prior, truth: pair[1].reference? })
+        Some(Known {
+            frame: pair[1].frame.thinned(4).expect("a stride"),
+            prior,
+            truth: pair[1].reference?.world_from_robot(),
+        })
     };
     let frames = frames.windows(2).filter_map(known).collect();
     let (name, aim) = ("livingroom, 640 x 480 at a stride of 4", "33 ms");
@@ -142,9 +146,9 @@ fn malaga() -> Option<Case> {
     let map = data::file("lidar2d/malaga_corridor_map.glb")?;
     // The scans are far apart, so each prior is a little off the scan's own reference.
     let known = |o: Observation| {
-        let truth = o.reference?;
+        let truth = o.reference?.world_from_robot();
         let beside = truth * Pose::from_xyz_rpy(DVec3::new(0.03, -0.02, 0.0), 0.0, 0.0, 0.015);
-        Some(Known { frame: o.frame, prior: PoseEstimate::of_sigmas(beside, 0.03, 0.02), truth })
+        Some(Known { frame: o.frame, prior: PoseEstimate::of_sigmas(RobotPose::new(beside), 0.03, 0.02), truth })
     };
     let frames = Frames::open(&log, None, &Default::default()).expect("a log").map(|o| o.expect("a scan"));
     let frames = frames.filter_map(known).collect();
@@ -159,8 +163,8 @@ fn hall() -> Option<Case> {
     let places = presight_predict::free_poses::free_poses(&world, 20, 11).expect("free poses");
     let known = |(k, place): (usize, &Pose)| {
         let off = Pose { translation: place.translation + DVec3::new(0.01, -0.01, 0.0), ..*place };
-        let frame = simulator.frame(&world, k as f64, place).expect("a frame");
-        Known { frame, prior: PoseEstimate::of_sigmas(off, 0.02, 0.01), truth: *place }
+        let frame = simulator.frame(&world, k as f64, &RobotPose::new(*place)).expect("a frame");
+        Known { frame, prior: PoseEstimate::of_sigmas(RobotPose::new(off), 0.02, 0.01), truth: *place }
     };
     let frames = places.iter().enumerate().map(known).collect();
     let (name, aim) = ("hall, laser range camera", "8 ms p95");

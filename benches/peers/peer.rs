@@ -24,7 +24,7 @@ use parry3d_f64::math::Vector;
 use parry3d_f64::query::Ray;
 use parry3d_f64::shape::{CompositeShapeRef, TriMesh};
 use presight_model::environment::{Environment, Material, NewObject};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::PixelGrid;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -234,7 +234,8 @@ fn main() {
         }
         let mut predict = |request: &Request| {
             let (start, cpu) = (Instant::now(), ProcessTime::now());
-            let prediction = predictor.predict(&world, sensor, pose, request).unwrap_or_else(|e| panic!("{e}"));
+            let prediction =
+                predictor.predict(&world, sensor, &SensorPose::new(*pose), request).unwrap_or_else(|e| panic!("{e}"));
             ([start.elapsed(), cpu.elapsed()].map(|time| time.as_secs_f64() * 1e3), prediction)
         };
         tell(&predict(&range).1.images.range);

@@ -3,7 +3,7 @@
 
 use glam::{DQuat, DVec3};
 use presight_model::environment::{Environment, NewObject, Object};
-use presight_model::geometry::{Aabb, Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Aabb, Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -186,7 +186,8 @@ impl Case {
             let truth = way.at(time);
             let error: [f64; 6] =
                 std::array::from_fn(|i| random.normal(if i < 3 { off.is.0 } else { off.is.1.to_radians() }));
-            let estimate = PoseEstimate::new(presight_localize::motion::moved(&truth, &error), covariance);
+            let estimate =
+                PoseEstimate::new(RobotPose::new(presight_localize::motion::moved(&truth, &error)), covariance);
             frames.push((frame, estimate, truth));
         }
         frames

@@ -6,7 +6,7 @@ use super::{AMOUNTS, scene, sensors};
 use cpu_time::ProcessTime;
 use presight_localize::estimate::{EstimateOptions, Estimator, Freedom};
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_testkit::caster::Caster;
 use presight_update::{LearnOptions, Learner};
@@ -28,7 +28,7 @@ pub fn run() {
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("a predictor");
         let options = EstimateOptions::of(&sensor);
         let options = if sensor.height() == 1 { options.with_freedom(Freedom::Planar) } else { options };
-        let start = PoseEstimate::of_sigmas(pose(0.0), 0.05, 2f64.to_radians());
+        let start = PoseEstimate::of_sigmas(RobotPose::new(pose(0.0)), 0.05, 2f64.to_radians());
         let mut robot = Localizer::new(Estimator::new(predictor, options), start, LocalizeOptions::default());
         let mut learner = Learner::new(LearnOptions::default()).expect("sound options");
         let (mut localizing, mut learning, mut tracked) = (0.0, 0.0, 0);

@@ -243,8 +243,7 @@ fn one(case: &Case, sensors: &[&Sensor], off: Off) -> (Score, f64) {
     let mut score = score(case, sensors, &truth, &findings);
     let evidence: BTreeMap<String, Evidence> = learner.evidence(&case.map).into_iter().collect();
     for (name, note) in &mut score.missed {
-        let (e, pixels) = (evidence.get(name), learner.pixels(&case.map, name));
-        *note += &format!("; {e:?}; {pixels:?}");
+        *note += &format!("; {:?}", evidence.get(name));
     }
     (score, seconds)
 }

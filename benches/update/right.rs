@@ -2,7 +2,7 @@
 //! wrong.
 
 use super::case::Case;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -63,7 +63,7 @@ pub fn count(case: &Case, sensor: &Sensor, findings: &Findings, seed: u64) -> Ri
         let ranges = worlds.each_ref().map(|world| {
             let mut images = Images::default();
             let range = Outputs::of(&[Output::Range]);
-            predictor.predict_images(world, sensor, &pose, range, &mut images).expect("a prediction");
+            predictor.predict_images(world, sensor, &SensorPose::new(pose), range, &mut images).expect("a prediction");
             images.range
         });
         let same = |a: f32, b: f32| a == b || (f64::from(a) - f64::from(b)).abs() <= SAME;

@@ -3,7 +3,7 @@
 use super::case::Case;
 use glam::DVec3;
 use presight_model::environment::{Environment, Object};
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_render::plan::{Images, Output, Outputs};
@@ -121,7 +121,9 @@ fn visible(case: &Case, sensor: &Sensor, poses: &[Pose]) -> BTreeMap<String, See
         let world_from_sensor = *pose * sensor.spec().mount;
         let mut images = [Images::default(), Images::default()];
         for (world, image) in [&case.map, &case.site].into_iter().zip(&mut images) {
-            predictor.predict_images(world, sensor, &world_from_sensor, outputs, image).expect("a prediction");
+            predictor
+                .predict_images(world, sensor, &SensorPose::new(world_from_sensor), outputs, image)
+                .expect("a prediction");
         }
         let name = |environment: &Environment, id: u32| {
             id.checked_sub(1).map(|i| environment.objects()[i as usize].name.clone())

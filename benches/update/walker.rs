@@ -3,7 +3,7 @@
 
 use glam::DVec3;
 use presight::Scene;
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose, SensorPose};
 use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -37,7 +37,7 @@ pub fn strip(file: &str) {
     let mut predict = |world: &World, stamp: f64| {
         let (mut images, at) = (Images::default(), way.at(stamp) * sensor.spec().mount);
         predictor
-            .predict_images(world, &sensor, &at, Outputs::of(&[Output::Range]), &mut images)
+            .predict_images(world, &sensor, &SensorPose::new(at), Outputs::of(&[Output::Range]), &mut images)
             .expect("a prediction");
         images.range
     };
@@ -64,7 +64,7 @@ pub fn strip(file: &str) {
     let mut learner = Learner::new(LearnOptions::default().with_view_distance(0.05)).expect("sound options");
     let sigmas = [0.002, 0.002, 0.002, 0.0005, 0.0005, 0.0005];
     for frame in &frames {
-        let pose = PoseEstimate::new(way.at(frame.stamp), PoseCovariance::from_sigmas(sigmas));
+        let pose = PoseEstimate::new(RobotPose::new(way.at(frame.stamp)), PoseCovariance::from_sigmas(sigmas));
         learner.observe_at(&world, &[frame], &pose).expect("a view");
     }
     learner.end_drive();

@@ -7,7 +7,7 @@ use presight_localize::estimate::{EstimateOptions, Estimator, Freedom};
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_model::caster::RayCaster;
 use presight_model::environment::Environment;
-use presight_model::geometry::{Aabb, Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Aabb, Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::measured::{Frame, Measurement, Motion, OdometryNoise};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -287,7 +287,7 @@ fn localized(world: &World, drives: &[Vec<(Frame, Pose)>]) -> (usize, usize, usi
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("a predictor");
         let options =
             EstimateOptions::of(drive[0].0.sensor()).with_freedom(Freedom::Planar).with_stated_sigma(Some(MODEL));
-        let prior = PoseEstimate::of_sigmas(drive[0].1, 0.05, 2f64.to_radians());
+        let prior = PoseEstimate::of_sigmas(RobotPose::new(drive[0].1), 0.05, 2f64.to_radians());
         let mut robot = Localizer::new(Estimator::new(predictor, options), prior, LocalizeOptions::default());
         for (frame, truth) in drive {
             let step = robot.step(world, frame).expect("a step");
@@ -399,7 +399,9 @@ pub fn run(folder: &str, (model_sigma, metres): (f64, f64)) {
     let covariance = PoseCovariance::from_sigmas([metres, metres, 1e-3, 1e-3, 1e-3, radians]);
     for drive in teaching {
         for (frame, pose) in drive {
-            learner.observe_at(&model, &[frame], &PoseEstimate::new(*pose, covariance)).expect("a view");
+            learner
+                .observe_at(&model, &[frame], &PoseEstimate::new(RobotPose::new(*pose), covariance))
+                .expect("a view");
         }
         learner.end_drive();
     }
@@ -463,7 +465,7 @@ pub fn write(folder: &Path, drives: &[Vec<(Frame, Pose)>]) -> std::io::Result<()
             poses += &format!("{time} {} {} {} {} {} {} {}\n", t.x, t.y, t.z, q.x, q.y, q.z, q.w);
             let odometry = frame.motion.as_ref().map(|motion| motion.previous_from_current);
             let range = frame.ranges().to_vec();
-            let frame = LogFrame { time, range, intensities: None, odometry, reference: Some(*pose) };
+            let frame = LogFrame { time, range, intensities: None, odometry, reference: Some(RobotPose::new(*pose)) };
             text += &(lines::line(&frame).expect("a sound frame") + "\n");
         }
         std::fs::write(folder.join(format!("drive{}.jsonl", number + 1)), text)?;

@@ -5,7 +5,7 @@ use super::errors::{Failed, apart, raised, room_for, usage};
 use super::predictor::{Predictor, RANGE};
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedArrayMethods};
 use presight::predict::{Batch, BatchItem, BatchRequest, SampleKind, Samples};
-use presight::{Images, Output, Outputs, Pose, Sensor, World};
+use presight::{Images, Output, Outputs, Sensor, SensorPose, World};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::{Mutex, PoisonError};
@@ -30,7 +30,7 @@ pub fn outputs(given: Option<&Bound<'_, PyAny>>) -> PyResult<Outputs> {
 }
 
 /// Runs a batch and hands over its items in order. Chunks grow until they take a tenth of a second.
-pub fn run(mut batch: Batch<'_, IntoIter<Pose>>, mut each: impl FnMut(BatchItem)) -> Result<(), Failed> {
+pub fn run(mut batch: Batch<'_, IntoIter<SensorPose>>, mut each: impl FnMut(BatchItem)) -> Result<(), Failed> {
     let most = batch.chunk();
     let (mut chunk, mut left, mut looked, mut begun) = (1, 1, Instant::now(), Instant::now());
     batch.set_chunk(chunk);
@@ -170,7 +170,7 @@ impl<'py> Targets<'py> {
         predictor: &Predictor,
         world: &World,
         sensor: &Sensor,
-        poses: Vec<Pose>,
+        poses: Vec<SensorPose>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let mut held = Vec::new();
         for output in self.outputs.iter() {
@@ -219,7 +219,7 @@ pub struct Chunks {
     world: World,
     sensor: Sensor,
     outputs: Outputs,
-    poses: Vec<Pose>,
+    poses: Vec<SensorPose>,
     size: usize,
     next: Mutex<usize>,
 }
@@ -230,7 +230,7 @@ impl Chunks {
         world: World,
         sensor: Sensor,
         outputs: Outputs,
-        poses: Vec<Pose>,
+        poses: Vec<SensorPose>,
         size: Option<usize>,
     ) -> Self {
         let bytes = 4 * outputs.numbers() * sensor.width() as usize * sensor.height() as usize;

@@ -12,7 +12,7 @@ use presight::localize::{
 use presight::measured::{Frame as OurFrame, GreyImage, Measurement, Motion, OdometryNoise};
 use presight::tools;
 use presight::verdict::{Verdict, Verdicts as OurVerdicts};
-use presight::{Backend, Error, Options, Pose, PoseEstimate, Predictor, Sensor as OurSensor};
+use presight::{Backend, Error, Options, Pose, PoseEstimate, Predictor, RobotPose, Sensor as OurSensor};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -188,7 +188,7 @@ impl Log {
     /// Reference poses of the robot in the world: (n, 7), NaN where the log has none.
     #[getter]
     fn reference<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        poses_array(py, self.frames.iter().map(|o| o.reference))
+        poses_array(py, self.frames.iter().map(|o| o.reference.map(|robot| robot.world_from_robot())))
     }
 
     fn __len__(&self) -> usize {
@@ -382,7 +382,7 @@ impl Localizer {
         if !floor.is_finite() {
             return Err(usage(py, "floor", format!("{floor}"), "give finite metres"));
         }
-        let of_sigmas = |pose| PoseEstimate::of_sigmas(pose, init_sigma, init_sigma_deg.to_radians());
+        let of_sigmas = |pose| PoseEstimate::of_sigmas(RobotPose::new(pose), init_sigma, init_sigma_deg.to_radians());
         let prior = init.map(|given| pose_of(given, "init")).transpose()?.map(of_sigmas);
         let scene = scene.get();
         let world = apart(py, || Ok(scene.seen().world))?;

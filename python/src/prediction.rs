@@ -152,7 +152,7 @@ macro_rules! image_getters {
                 let whole = self.whole(py, |output| output == Output::Range)?;
                 let (width, height) = self.size;
                 let points = apart(py, || {
-                    let cloud = PointCloud::new(&whole.images, &whole.sensor, &whole.world_from_sensor, frame)?;
+                    let cloud = PointCloud::new(&whole.images, &whole.sensor, &whole.pose, frame)?;
                     Ok(cloud.positions().iter().flat_map(|p| p.to_array()).collect::<Vec<f64>>())
                 })?;
                 array(py, points, &[height as usize, width as usize, 3])
@@ -215,7 +215,7 @@ macro_rules! image_getters {
             /// The pose of the sensor, body axes: (7,) x y z qx qy qz qw.
             #[getter]
             fn pose<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-                array(py, pose_numbers(&self.prediction.world_from_sensor).to_vec(), &[7])
+                array(py, pose_numbers(&self.prediction.pose.world_from_sensor()).to_vec(), &[7])
             }
 
             /// (rows, columns).

@@ -13,8 +13,8 @@ use presight::files::{self, LayerFile};
 use presight::measured::{Frame as OurFrame, Measurement};
 use presight::predict::{BatchRequest, Headings, PoseCell, RangeLikelihood};
 use presight::{
-    Backend, Error, Output, Outputs, Pose, PoseEstimate, Predictor as Ours, Request, Result, SceneFeatures, Sensor,
-    World,
+    Backend, Error, Output, Outputs, PoseEstimate, Predictor as Ours, Request, Result, RobotPose, SceneFeatures,
+    Sensor, SensorPose, World,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -122,7 +122,7 @@ fn without_displays<T>(py: Python<'_>, work: impl FnOnce() -> PyResult<T>) -> Py
 struct Given {
     world: World,
     sensor: Sensor,
-    poses: Vec<Pose>,
+    poses: Vec<SensorPose>,
 }
 
 impl Given {
@@ -389,7 +389,7 @@ impl Predictor {
         pose: &Bound<'_, PyAny>,
         pose_cov: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Verdicts> {
-        let robot = PoseEstimate::new(pose_of(pose, "pose")?, covariance_of(pose_cov)?);
+        let robot = PoseEstimate::new(RobotPose::new(pose_of(pose, "pose")?), covariance_of(pose_cov)?);
         let (scene, frame) = (scene.get(), frame.get());
         apart(py, || {
             let world = scene.seen().world;
@@ -415,7 +415,7 @@ impl Predictor {
         &self,
         seen: &Seen,
         sensor: &Sensor,
-        pose: &Pose,
+        pose: &SensorPose,
         request: &Request,
     ) -> Result<(presight::Prediction, About), Failed> {
         self.with(|predictor| {

@@ -212,7 +212,9 @@ fn items() -> [BTreeSet<String>; 2] {
     let folders =
         PICTURE.iter().take_while(|(name, _)| *name != "presight-testkit").map(|(name, _)| folder_of(name).join("src"));
     for path in folders.flat_map(|folder| sources(&folder)) {
-        for line in code(&read(&path)).lines().filter(|line| line.starts_with("pub ")) {
+        // The macro `options!` declares structs, which are therefore indented.
+        let is_item = |line: &&str| line.starts_with("pub ") || line.starts_with("    pub struct ");
+        for line in code(&read(&path)).lines().filter(is_item) {
             let mut words = words(line).skip(1).filter(|word| !["unsafe", "async"].contains(word));
             match (words.next().unwrap_or_default(), words.next().unwrap_or_default()) {
                 ("struct" | "enum" | "trait" | "type" | "union", name) => items[0].insert(name.to_owned()),

@@ -8,7 +8,7 @@ use presight_features::{FeaturePrediction, FeatureSettings, PlacedFeature, Reaso
 use presight_model::environment::{Appearance, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Angles, Geometry, RayTable, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_render::plan::{CountName, StageName};
@@ -261,11 +261,11 @@ fn a_predictor_predicts_features_on_its_own_threads() {
     let features = [placed(3, point([3.0, 0.0, 0.0]), &[0]), placed(4, point([4.0, 0.1, 0.0]), &[])];
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(3)).unwrap();
     assert_eq!(predictor.on_threads(rayon::current_num_threads).unwrap(), 3);
-    let seen = predictor.predict(&world, &camera, &Pose::IDENTITY, &Request::default()).unwrap();
+    let seen = predictor.predict(&world, &camera, &SensorPose::IDENTITY, &Request::default()).unwrap();
     assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.name().contains("feature")), "unrequested features");
     let request = Request::default()
         .with_features(FeatureOptions::default().with_hidden(Hidden::Full).with_placed(features.to_vec()));
-    let found = predictor.predict(&world, &camera, &Pose::IDENTITY, &request).unwrap();
+    let found = predictor.predict(&world, &camera, &SensorPose::IDENTITY, &request).unwrap();
     let options = FeatureSettings::default();
     let again = predict_features(&world, &camera, &Pose::IDENTITY, &seen.images, &features, &options).unwrap();
     assert_eq!(found.features, Some(again));

@@ -3,15 +3,15 @@
 use presight_testkit as common;
 
 use common::scenes;
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3, Vec3};
 use presight_features::roi::{FeatureErrorModel, Viewpoint};
 use presight_features::{
     BoxOptions, BoxQuery, FeatureOptions, FeaturePrediction, FeatureSettings, PlacedFeature, add_boxes, place,
     predict_features,
 };
-use presight_model::environment::FeatureShape;
+use presight_model::environment::{Environment, FeatureShape, Material, Mesh, NewObject};
 use presight_model::error::{Error, ErrorKind};
-use presight_model::geometry::{Pose, PoseCovariance};
+use presight_model::geometry::{Pose, PoseCovariance, RobotPose, SensorPose};
 use presight_model::index::Region;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -78,16 +78,31 @@ fn a_predictor_refuses_it_and_stays_usable() {
     let request = Request::default();
     for mut predictor in predictors() {
         for (what, pose, said) in bad() {
-            refused("predict", what, said, predictor.predict(&s.world, &s.sensor, &pose, &request));
+            refused("predict", what, said, predictor.predict(&s.world, &s.sensor, &SensorPose::new(pose), &request));
             for placed in [s.placed.clone(), Vec::new()] {
                 let request = request.clone().with_features(FeatureOptions::default().with_placed(placed));
-                refused("predict", what, said, predictor.predict(&s.world, &s.sensor, &pose, &request));
+                refused(
+                    "predict",
+                    what,
+                    said,
+                    predictor.predict(&s.world, &s.sensor, &SensorPose::new(pose), &request),
+                );
                 let request = request.with_regions(BoxOptions::default());
-                refused("predict", what, said, predictor.predict(&s.world, &s.sensor, &pose, &request));
-                let mut prediction = predictor.predict(&s.world, &s.sensor, &Pose::IDENTITY, &request).unwrap();
-                refused("predict_again", what, said, predictor.predict_again(&s.world, &pose, &mut prediction));
+                refused(
+                    "predict",
+                    what,
+                    said,
+                    predictor.predict(&s.world, &s.sensor, &SensorPose::new(pose), &request),
+                );
+                let mut prediction = predictor.predict(&s.world, &s.sensor, &SensorPose::IDENTITY, &request).unwrap();
+                refused(
+                    "predict_again",
+                    what,
+                    said,
+                    predictor.predict_again(&s.world, &SensorPose::new(pose), &mut prediction),
+                );
             }
-            let again = predictor.predict(&s.world, &s.sensor, &Pose::IDENTITY, &request).unwrap();
+            let again = predictor.predict(&s.world, &s.sensor, &SensorPose::IDENTITY, &request).unwrap();
             assert_eq!(again.images.polygon_id, s.images.polygon_id, "{what}: the next prediction is right");
         }
     }
@@ -142,7 +157,12 @@ fn functions_of_images_refuse_it() {
             ),
         );
         for frame in [PointsFrame::Sensor, PointsFrame::World] {
-            refused("PointCloud::new", what, said, PointCloud::new(&s.images, &s.sensor, &pose, frame));
+            refused(
+                "PointCloud::new",
+                what,
+                said,
+                PointCloud::new(&s.images, &s.sensor, &SensorPose::new(pose), frame),
+            );
         }
     }
 }
@@ -170,8 +190,8 @@ fn engines_and_virtual_sensors_check_again() {
             };
             let sensor = presight_read::preset(name).unwrap();
             let request = Request::of(task.outputs());
-            let mut prediction = predictor.predict(&s.world, &sensor, &Pose::IDENTITY, &request).unwrap();
-            prediction.world_from_sensor = pose;
+            let mut prediction = predictor.predict(&s.world, &sensor, &SensorPose::IDENTITY, &request).unwrap();
+            prediction.pose = SensorPose::new(pose);
             let features = FeaturePrediction::default();
             let view = View::of(&prediction, s.world.environment()).with_features(&features);
             refused(task.name(), what, said, task.reduce(&view, &Settings::default()));
@@ -186,4 +206,36 @@ fn a_mount_is_a_pose_too() {
         let e = Sensor::new(spec).unwrap_err();
         assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains("mount: the pose ["), "{what}: {e}");
     }
+}
+
+/// Every beam of a scanner that is mounted ahead of and above the robot's origin is right if the prediction is made for
+/// the sensor's pose, which follows from the robot's by the mount.
+#[test]
+fn the_mount_leads_from_the_robots_pose_to_the_sensors() {
+    let mut environment = Environment::new();
+    environment.add_material(Material::named("paint")).unwrap();
+    let (low, high) = (Vec3::new(-2.0, -3.0, 0.0), Vec3::new(4.0, 3.0, 2.5));
+    let room = Mesh::cuboid("room", low, high, 0).unwrap();
+    environment.insert(NewObject::new("room", Pose::IDENTITY, room.into())).unwrap();
+    let world = World::new(environment);
+    let mut spec = presight_read::preset("laser-scanner").unwrap().spec().clone();
+    spec.mount = Pose::from_xyz_rpy(DVec3::new(0.2, 0.0, 1.2), 0.0, 0.0, 0.0);
+    let scanner = Sensor::new(spec).unwrap();
+
+    let heading = 0.7;
+    let robot = RobotPose::from_xyz_rpy(DVec3::new(1.0, 0.5, 0.0), 0.0, 0.0, heading);
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu)).unwrap();
+    let seen = predictor.predict(&world, &scanner, &robot.sensor(&scanner), &Request::default()).unwrap();
+    // By hand: from 0.2 m ahead of the robot, beams half a degree apart from 90 degrees on the right to the left.
+    let place = [1.0 + 0.2 * f64::cos(heading), 0.5 + 0.2 * f64::sin(heading)];
+    let is_right = |k: &usize| {
+        let (sin, cos) = (heading + (0.5 * *k as f64 - 90.0).to_radians()).sin_cos();
+        let to_wall =
+            |along: f64, at: f64, low: f32, high: f32| (f64::from(if along > 0.0 { high } else { low }) - at) / along;
+        let range = to_wall(cos, place[0], low.x, high.x).min(to_wall(sin, place[1], low.y, high.y));
+        (f64::from(seen.images.range[*k]) - range).abs() < 1e-5
+    };
+    assert_eq!((0..361).filter(is_right).count(), 361);
+    let back = robot.sensor(&scanner).robot(&scanner).world_from_robot();
+    assert!(back.translation.distance(robot.world_from_robot().translation) < 1e-12);
 }

@@ -1,7 +1,7 @@
 //! Versions of a world: their owners, and what a change copies.
 
 use presight_model::change::Change;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
@@ -24,7 +24,7 @@ fn a_change_after_a_prediction_copies_nothing() {
     let at = |x| Pose::from_xyz_rpy(glam::DVec3::new(x, 0.0, 0.0), 0.0, 0.0, 0.2);
     let moved = |name: &str, x| Change::MoveObject { name: name.into(), world_from_object: at(x) };
     for change in [moved("cart", 1.5), Change::Group(vec![moved("hall", 2.0), moved("cart", 2.5)])] {
-        predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap();
+        predictor.predict(&world, &sensor, &SensorPose::IDENTITY, &Request::default()).unwrap();
         world.apply_unchecked(change).unwrap();
         assert_eq!(place(&world), before, "in place");
     }

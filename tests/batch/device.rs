@@ -5,7 +5,7 @@ use super::{common, frame_of, likelihood::disturbed, noisy, predictor, single};
 use common::{Random, data, scenes, skip};
 use glam::{DVec3, Vec3};
 use presight_model::environment::NewObject;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Camera, Geometry, Noise, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
@@ -38,7 +38,7 @@ fn weighed(
     });
     let request = BatchRequest { statistics: true, ..request.clone() };
     let (mut all, mut bytes) = (Vec::new(), 0);
-    for item in engine.batch(world, sensor, poses, &request).unwrap() {
+    for item in engine.batch(world, sensor, poses.into_iter().map(SensorPose::new), &request).unwrap() {
         let item = item.unwrap();
         let stats = item.stats.unwrap();
         let taken = stats.taken.iter().any(|v| v.what == StageName::WeighOnDevice);
@@ -110,7 +110,7 @@ fn one_beam_by_hand() {
     let mut weigh = |sensed: f32| {
         let likelihood = Some(RangeLikelihood::new(&frame_of(&sensor, vec![sensed]), PoseCell::default()).unwrap());
         let request = BatchRequest { likelihood, statistics: true, ..BatchRequest::default() };
-        let item = engine.batch(&world, &sensor, [Pose::IDENTITY], &request).unwrap().next().unwrap().unwrap();
+        let item = engine.batch(&world, &sensor, [SensorPose::IDENTITY], &request).unwrap().next().unwrap().unwrap();
         assert!(item.stats.unwrap().taken.iter().any(|v| v.what == StageName::WeighOnDevice));
         item.log_likelihood.unwrap().exp()
     };

@@ -4,7 +4,7 @@ use super::likelihood::disturbed;
 use super::{common, frame_of, noisy, oracle, predictor, single};
 use common::{Random, data, scenes};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Angles, Geometry, Mixture, Noise, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::batch::{BatchRequest, Headings, PoseCell, RangeLikelihood};
@@ -50,7 +50,7 @@ fn check(world: &World, sensor: &Sensor, count: u32, place: Pose) {
     let sensed = disturbed(
         &mut random,
         sensor.spec(),
-        &single(&mut engine, world, sensor, &headings.pose(place.translation, 1)).0,
+        &single(&mut engine, world, sensor, &headings.pose(place.translation, 1).world_from_sensor()).0,
     );
     let cell = PoseCell { side: 0.05, turn: 0.01 };
     let request = BatchRequest {
@@ -58,7 +58,7 @@ fn check(world: &World, sensor: &Sensor, count: u32, place: Pose) {
         headings: Some(headings.clone()),
         ..BatchRequest::default()
     };
-    let item = predictor(2).batch(world, sensor, [place], &request).unwrap().next().unwrap().unwrap();
+    let item = predictor(2).batch(world, sensor, [SensorPose::new(place)], &request).unwrap().next().unwrap().unwrap();
     assert_eq!(item.headings.len(), count as usize);
     // By the formula, a beam that comes twice counts once.
     let distinct = sensor.distinct_columns() as usize;
@@ -67,7 +67,8 @@ fn check(world: &World, sensor: &Sensor, count: u32, place: Pose) {
     let beams = sensed.iter().filter(|r| !r.is_nan()).count() as f64;
     let mut apart = 0;
     for (k, ours) in (0..count).zip(&item.headings) {
-        let (range, cos) = single(&mut engine, world, &beams_of, &headings.pose(place.translation, k));
+        let (range, cos) =
+            single(&mut engine, world, &beams_of, &headings.pose(place.translation, k).world_from_sensor());
         let truth = oracle::log_likelihood(sensor.spec(), cell, &sensed, &range, &cos);
         // A beam at an edge may hit the surface next to it: one beam can change the sum by no more than this.
         let off = (f64::from(*ours) - truth).abs() * NOISE.mixture.beam_dependence;
@@ -135,10 +136,11 @@ fn impossible_headings_are_refused() {
     let world = World::new(scenes::room(1, 3));
     let request = BatchRequest { likelihood: Some(sensed), headings, ..BatchRequest::default() };
     let leaning = Pose::from_xyz_rpy(glam::DVec3::Z, 0.0, 1e-3, 0.0);
-    let e = predictor(1).batch(&world, &good, [leaning], &request).unwrap().next().unwrap().unwrap_err();
+    let e =
+        predictor(1).batch(&world, &good, [SensorPose::new(leaning)], &request).unwrap().next().unwrap().unwrap_err();
     assert!(e.kind() == ErrorKind::Usage && e.to_string().contains("tilted") && e.place() == Some("pose 0"), "{e}");
     let without = BatchRequest { likelihood: None, ..request };
-    assert!(predictor(1).batch(&world, &good, [Pose::IDENTITY], &without).is_err());
+    assert!(predictor(1).batch(&world, &good, [SensorPose::IDENTITY], &without).is_err());
 }
 
 /// Real scans in a real map. With places 0.25 m apart and headings of 1 degree the best pose is the scan's own; for
@@ -160,7 +162,7 @@ fn real_scans_are_found_in_their_map() {
     let cell = PoseCell { side: 0.25, turn: 1f64.to_radians() };
     let (mut found, mut scans) = (0, 0);
     for frame in log.step_by(6).map(|frame| frame.unwrap()) {
-        let truth = frame.reference.unwrap() * sensor.spec().mount;
+        let truth = frame.reference.unwrap().sensor(&sensor).world_from_sensor();
         let at = |i: i32, k: i32| truth.translation + 0.25 * glam::DVec3::new(f64::from(i), f64::from(k), 0.0);
         // A window of the map that does not contain the true pose itself.
         let off = glam::DVec3::new(0.11, -0.07, 0.0);
@@ -170,11 +172,16 @@ fn real_scans_are_found_in_their_map() {
         let request =
             BatchRequest { likelihood: Some(sensed), headings: Some(headings.clone()), ..BatchRequest::default() };
         let mut best = (f32::NEG_INFINITY, Pose::IDENTITY);
-        for item in predictor(2).batch(&world, &sensor, places.collect::<Vec<_>>(), &request).unwrap() {
+        for item in
+            predictor(2).batch(&world, &sensor, places.map(SensorPose::new).collect::<Vec<_>>(), &request).unwrap()
+        {
             let item = item.unwrap();
             for (k, log_likelihood) in (0..).zip(&item.headings) {
                 if *log_likelihood > best.0 {
-                    best = (*log_likelihood, headings.pose(item.world_from_sensor.translation, k));
+                    best = (
+                        *log_likelihood,
+                        headings.pose(item.pose.world_from_sensor().translation, k).world_from_sensor(),
+                    );
                 }
             }
         }

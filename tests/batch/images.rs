@@ -3,7 +3,7 @@
 use super::{common, predictor};
 use common::{Random, data, scenes};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::world::World;
 use presight_predict::batch::BatchRequest;
 use presight_predict::request::Request;
@@ -30,15 +30,16 @@ fn check(world: &World, poses: &[Pose]) {
             if sensor.is_camera() { Outputs::ALL } else { Outputs::ALL.without(presight_render::plan::Output::DepthZ) };
         let asked = Request::of(outputs);
         let mut one = predictor(2);
-        let singles: Vec<_> = poses.iter().map(|p| one.predict(world, &sensor, p, &asked).unwrap().images).collect();
+        let singles: Vec<_> =
+            poses.iter().map(|p| one.predict(world, &sensor, &SensorPose::new(*p), &asked).unwrap().images).collect();
         for (threads, chunk) in [(1, None), (2, Some(1)), (3, Some(4)), (2, None)] {
             let request = BatchRequest { images: Some((&asked).into()), chunk, ..BatchRequest::default() };
             let mut predictor = predictor(threads);
-            let batch = predictor.batch(world, &sensor, poses.to_vec(), &request).unwrap();
+            let batch = predictor.batch(world, &sensor, poses.iter().copied().map(SensorPose::new), &request).unwrap();
             let mut count = 0;
             for (i, item) in batch.enumerate() {
                 let item = item.unwrap();
-                assert_eq!((item.index, item.world_from_sensor), (i, poses[i]));
+                assert_eq!((item.index, item.pose.world_from_sensor()), (i, poses[i]));
                 assert!(bits(&item.images) == bits(&singles[i]), "{}, pose {i}", sensor.spec().name);
                 count += 1;
             }
@@ -68,7 +69,7 @@ fn statistics_are_returned_on_request() {
     for statistics in [false, true] {
         let request = BatchRequest { statistics, ..BatchRequest::default() };
         let mut predictor = predictor(2);
-        for item in predictor.batch(&world, &sensor, poses(3), &request).unwrap() {
+        for item in predictor.batch(&world, &sensor, poses(3).into_iter().map(SensorPose::new), &request).unwrap() {
             let item = item.unwrap();
             assert_eq!(item.stats.as_ref().map(|s| s.engine), statistics.then_some("cpu"));
             assert!(item.images.range.is_empty() && item.log_likelihood.is_none());
@@ -85,14 +86,15 @@ fn a_wrong_pose_ends_the_batch_at_its_place() {
     for chunk in [None, Some(2), Some(5)] {
         let request = BatchRequest { chunk, ..BatchRequest::default() };
         let mut predictor = predictor(2);
-        let items: Vec<_> = predictor.batch(&world, &sensor, poses.clone(), &request).unwrap().collect();
+        let items: Vec<_> =
+            predictor.batch(&world, &sensor, poses.iter().copied().map(SensorPose::new), &request).unwrap().collect();
         assert_eq!(items.len(), 6);
         assert!(items[..5].iter().all(|item| item.is_ok()));
         let e = items[5].as_ref().unwrap_err();
         assert_eq!((e.kind(), e.place()), (ErrorKind::Usage, Some("pose 5")), "{e}");
     }
     let none = BatchRequest { chunk: Some(0), ..BatchRequest::default() };
-    assert!(predictor(1).batch(&world, &sensor, poses, &none).is_err());
+    assert!(predictor(1).batch(&world, &sensor, poses.into_iter().map(SensorPose::new), &none).is_err());
     let mut predictor = predictor(1);
     assert_eq!(predictor.batch(&world, &sensor, [], &BatchRequest::default()).unwrap().count(), 0);
 }
@@ -109,7 +111,8 @@ fn poses_are_taken_a_chunk_at_a_time() {
     };
     let mut predictor = predictor(2);
     let request = BatchRequest { statistics: true, ..BatchRequest::default() };
-    let items = predictor.batch(&world, &sensor, (0..10_000_000).map(turned), &request).unwrap().take(600);
+    let items =
+        predictor.batch(&world, &sensor, (0..10_000_000).map(turned).map(SensorPose::new), &request).unwrap().take(600);
     assert_eq!(items.map(|item| item.unwrap().index).max(), Some(599));
     // Two chunks, and one pose to check for the end.
     assert!((600..=2 * 512 + 1).contains(&taken.get()), "{}", taken.get());
@@ -144,11 +147,12 @@ fn the_gpu_engine_equals_its_single_predictions() {
                 statistics: true,
                 ..BatchRequest::default()
             };
-            let items: Vec<_> = gpu.batch(&world, &sensor, poses.clone(), &request).unwrap().collect();
+            let items: Vec<_> =
+                gpu.batch(&world, &sensor, poses.iter().copied().map(SensorPose::new), &request).unwrap().collect();
             assert_eq!(items.len(), poses.len());
             for (i, (item, pose)) in items.into_iter().zip(&poses).enumerate() {
                 let item = item.unwrap();
-                let single = gpu.predict(&world, &sensor, pose, &asked).unwrap();
+                let single = gpu.predict(&world, &sensor, &SensorPose::new(*pose), &asked).unwrap();
                 assert!(bits(&item.images) == bits(&single.images), "{preset}, pose {i}");
                 let truth = sensed.log_likelihood(&single.images.range, &single.images.cos_incidence);
                 assert_eq!((item.index, item.log_likelihood), (i, Some(truth)));
@@ -185,12 +189,16 @@ fn frames_with_one_wave_and_with_several_share_a_submission() {
         statistics: true,
         ..BatchRequest::default()
     };
-    let items: Vec<_> = gpu.batch(&world, &sensor, poses, &request).unwrap().map(Result::unwrap).collect();
+    let items: Vec<_> = gpu
+        .batch(&world, &sensor, poses.into_iter().map(SensorPose::new), &request)
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
     // One submission: its first frame reports all of the work. After a fault each frame would be drawn alone.
     let work = |item: &presight_predict::batch::BatchItem| item.stats.as_ref().unwrap().work.gpu_workgroups > 0;
     assert_eq!(items.iter().map(work).collect::<Vec<_>>(), [true, false, false, false, false, false]);
     for (item, pose) in items.into_iter().zip(&poses) {
-        let single = gpu.predict(&world, &sensor, pose, &Request::default()).unwrap();
+        let single = gpu.predict(&world, &sensor, &SensorPose::new(*pose), &Request::default()).unwrap();
         let (stats, waves) = (item.stats.unwrap(), presight_render::plan::CountName::Waves);
         assert_eq!(stats.count_of(waves).is_some_and(|waves| waves > 1), *pose == middle, "pose {}", item.index);
         assert!(bits(&item.images) == bits(&single.images), "pose {}", item.index);
@@ -213,7 +221,7 @@ fn the_work_of_all_frames_of_a_submission_is_reported() {
     let pose = poses(2)[1];
     let request = BatchRequest { statistics: true, ..BatchRequest::default() };
     let mut workgroups = |count: usize| -> Vec<u64> {
-        let items = gpu.batch(&world, &sensor, vec![pose; count], &request).unwrap();
+        let items = gpu.batch(&world, &sensor, vec![SensorPose::new(pose); count], &request).unwrap();
         items.map(|item| item.unwrap().stats.unwrap().work.gpu_workgroups).collect()
     };
     // The first run makes room in the buffers.

@@ -3,7 +3,7 @@
 use super::{common, frame_of, noisy, oracle, predictor, single};
 use common::{Random, data, scenes};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Mixture, Noise, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -52,7 +52,8 @@ fn check(world: &World, poses: &[Pose], sensors: &[Sensor], tolerance: f64) {
         let sensed = disturbed(&mut random, sensor.spec(), &single(&mut engine, world, &sensor, &poses[0]).0);
         let likelihood = Some(RangeLikelihood::new(&frame_of(&sensor, sensed.clone()), cell).unwrap());
         let request = BatchRequest { likelihood, ..BatchRequest::default() };
-        let items: Vec<_> = predictor(2).batch(world, &sensor, poses.to_vec(), &request).unwrap().collect();
+        let items: Vec<_> =
+            predictor(2).batch(world, &sensor, poses.iter().copied().map(SensorPose::new), &request).unwrap().collect();
         assert_eq!(items.len(), poses.len());
         for (i, (item, pose)) in items.into_iter().zip(poses).enumerate() {
             let ours = item.unwrap().log_likelihood.unwrap();
@@ -157,7 +158,7 @@ fn images_that_cannot_be_weighed_are_refused() {
     let sensed = RangeLikelihood::new(&frame_of(&sensor, vec![1.0; 361]), cell).unwrap();
     let world = World::new(presight_model::environment::Environment::new());
     let request = BatchRequest { likelihood: Some(sensed), ..BatchRequest::default() };
-    let e = predictor(1).batch(&world, &plain, [Pose::IDENTITY], &request).err().unwrap();
+    let e = predictor(1).batch(&world, &plain, [SensorPose::IDENTITY], &request).err().unwrap();
     assert_eq!(e.kind(), ErrorKind::Usage, "{e}");
     for mixture in [
         Mixture { hit: 0.9, ..Mixture::default() },

@@ -11,7 +11,7 @@ mod row;
 
 use presight_testkit as common;
 
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Noise, Sensor};
 use presight_model::world::World;
@@ -40,6 +40,6 @@ fn frame_of(sensor: &Sensor, ranges: Vec<f32>) -> Frame {
 fn single(predictor: &mut Predictor, world: &World, sensor: &Sensor, pose: &Pose) -> (Vec<f32>, Vec<f32>) {
     let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
     let request = Request::of(outputs);
-    let seen = predictor.predict(world, sensor, pose, &request).expect("it predicts");
+    let seen = predictor.predict(world, sensor, &SensorPose::new(*pose), &request).expect("it predicts");
     (seen.images.range, seen.images.cos_incidence)
 }

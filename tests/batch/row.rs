@@ -9,7 +9,7 @@ use common::oracle::Oracle;
 use common::{Random, bits, data, env_number, hard, scenes};
 use glam::{DVec2, DVec3, Vec3};
 use presight_model::environment::{Appearance, Environment, Mark, MarkKind, Material, NewObject};
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::batch::BatchRequest;
@@ -288,8 +288,9 @@ fn a_cut_is_made_from_the_sixteenth_scan_on_and_follows_the_world() {
     let (sensor, pose) = (&scanners()[0], Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 1.0), 0.0, 0.0, 0.4));
     let mut kept = predictor(1);
     let mut scan = |world: &World, pose: &Pose| {
-        let seen = kept.predict(world, sensor, pose, &Request::default()).expect("it predicts");
-        let new = predictor(1).predict(world, sensor, pose, &Request::default()).expect("it predicts");
+        let seen = kept.predict(world, sensor, &SensorPose::new(*pose), &Request::default()).expect("it predicts");
+        let new =
+            predictor(1).predict(world, sensor, &SensorPose::new(*pose), &Request::default()).expect("it predicts");
         let same = Output::ALL.iter().all(|output| bits(&seen.images, *output) == bits(&new.images, *output));
         assert!(same, "{}", seen.stats.engine);
         seen.stats.engine
@@ -390,13 +391,13 @@ fn a_batch_has_the_images_of_single_predictions() {
     let request = BatchRequest { images: Some(all.into()), statistics: true, ..BatchRequest::default() };
     let mut predictor = predictor(2);
     let items: Vec<_> = predictor
-        .batch(&world, sensor, poses, &request)
+        .batch(&world, sensor, poses.into_iter().map(SensorPose::new), &request)
         .expect("a request")
         .map(|item| item.expect("a pose"))
         .collect();
     let mut by_cut = 0;
     for item in items {
-        let plan = FramePlan::new(&world, sensor, &item.world_from_sensor, all).expect("a sound pose");
+        let plan = FramePlan::new(&world, sensor, &item.pose.world_from_sensor(), all).expect("a sound pose");
         let mut images = Images::default();
         CpuEngine::new(1).expect("a thread").render(&plan, &mut images, &mut Stats::default()).expect("it renders");
         assert!(Output::ALL.iter().all(|output| bits(&images, *output) == bits(&item.images, *output)));
@@ -422,7 +423,7 @@ fn cuts_are_for_level_rows_only() {
     let above = Pose::from_xyz_rpy(DVec3::Z * 50.0, 0.0, 0.0, 0.0);
     assert!(get(one, &above).expect("a cut of nothing").segments.is_empty());
     assert_eq!(
-        predictor(1).predict(&world, one, &above, &Request::default()).unwrap().images.range,
+        predictor(1).predict(&world, one, &SensorPose::new(above), &Request::default()).unwrap().images.range,
         [f32::INFINITY; 361]
     );
 }

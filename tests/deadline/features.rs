@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use presight_features::{BoxOptions, FeatureOptions, Hidden, PlacedFeature, SeenFeature};
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Prediction, Predictor};
 use presight_predict::request::Request;
@@ -39,7 +39,7 @@ fn request() -> Request {
 fn predict(world: &World, request: &Request, look: u64) -> presight_model::error::Result<Prediction> {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     predictor.set_clock(Arc::new(Sudden::at(look)));
-    predictor.predict(world, &camera(120, 90), &Pose::IDENTITY, request)
+    predictor.predict(world, &camera(120, 90), &SensorPose::IDENTITY, request)
 }
 
 /// The ids of features.

@@ -5,7 +5,7 @@ use crate::common::{Random, data, env_number, plan};
 use crate::partial::{judge, sensors};
 use crate::ticks::Ticks;
 use presight_model::error::ErrorKind;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::engine::{Engine, EngineKind};
@@ -150,7 +150,7 @@ fn a_predictor_keeps_deadlines_on_a_device() {
         return;
     };
     let (world, sensor) = (room_world(2, 900), camera(160, 120));
-    let mut predict = |request: &Request| predictor.predict(&world, &sensor, &Pose::IDENTITY, request);
+    let mut predict = |request: &Request| predictor.predict(&world, &sensor, &SensorPose::IDENTITY, request);
     let ids = Request::of(Outputs::of(&[Output::PolygonId, Output::Normal]));
     let full = predict(&ids).unwrap();
     let generous = predict(&ids.clone().with_deadline(Duration::from_secs(3600))).unwrap();

@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3, Vec3};
 use presight_features::{FeatureSettings, PlacedFeature, Reason, predict_features};
 use presight_model::environment::NewObject;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Prediction, Predictor};
@@ -38,7 +38,7 @@ fn of_class(sensor: &Sensor, class: &str) -> Sensor {
 
 fn full(world: &World, sensor: &Sensor, pose: &Pose) -> Prediction {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
-    predictor.predict(world, sensor, pose, &Request::default()).unwrap()
+    predictor.predict(world, sensor, &SensorPose::new(*pose), &Request::default()).unwrap()
 }
 
 /// Makes the prediction look as if nothing beyond a range had been rendered.

@@ -1,7 +1,7 @@
 //! Which way a prediction with a deadline takes. The clocks stand still, so counts and learnt costs alone decide.
 
 use crate::common::{bits, hall, scenes};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Prediction, Predictor};
@@ -43,7 +43,7 @@ impl Bench {
     fn predict(&mut self, deadline: Option<Duration>) -> presight_model::error::Result<Prediction> {
         let mut request = Request::default();
         request.deadline = deadline;
-        self.predictor.predict(&self.world, &self.sensor, &self.pose, &request)
+        self.predictor.predict(&self.world, &self.sensor, &SensorPose::new(self.pose), &request)
     }
 
     /// The way under a deadline, and why tiles were not taken. Complete images have the bits of a prediction without a deadline.
@@ -99,7 +99,7 @@ fn trees_are_made_within_the_deadline_only() {
     let lean = bench.pose;
     let mut way = |deadline_ms| {
         let request = Request::default().with_deadline(Duration::from_millis(deadline_ms));
-        bench.predictor.predict(&bench.world, &bench.sensor, &lean, &request).unwrap().stats.way
+        bench.predictor.predict(&bench.world, &bench.sensor, &SensorPose::new(lean), &request).unwrap().stats.way
     };
     assert_eq!([way(2), way(2)], [Some(Way::Raster); 2]);
     assert_eq!([way(5000), way(2)], [Some(Way::Tiles); 2]);
@@ -114,7 +114,8 @@ fn rows_in_the_plane_are_taken_if_they_are_surely_in_time() {
     for (deadline_us, engine) in [(u64::from(polygons) + 1_741, "cpu"), (u64::from(polygons) + 1_743, "row")] {
         request.deadline = Some(Duration::from_micros(deadline_us));
         for _ in 0..40 {
-            let seen = bench.predictor.predict(&bench.world, &bench.sensor, &bench.pose, &request).unwrap();
+            let seen =
+                bench.predictor.predict(&bench.world, &bench.sensor, &SensorPose::new(bench.pose), &request).unwrap();
             if seen.stats.engine == "row" {
                 assert_eq!(engine, "row", "{deadline_us}");
                 break;

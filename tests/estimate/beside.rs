@@ -2,6 +2,7 @@
 
 use super::*;
 use presight_localize::localize::Phase;
+use presight_model::geometry::RobotPose;
 use presight_model::measured::{Motion, OdometryNoise};
 
 /// A corridor along x, 4 m wide, that two plates close: the left one at 5 m, the right one at `right`. A slanted plate closes its
@@ -35,7 +36,7 @@ fn backed_off(start: f64) -> Vec<(Phase, f64, f64, String)> {
     (spec.range_max, spec.mount.translation.z) = (8.0, 0.5);
     let (sensor, mut random) = (Sensor::new(spec).unwrap(), Random(31));
     let along = |x: f64| Pose::from_xyz_rpy(DVec3::X * x, 0.0, 0.0, 0.0);
-    let prior = PoseEstimate::of_sigmas(along(start), 0.1, 0.02);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(along(start)), 0.1, 0.02);
     let mut robot = Localizer::new(estimator(EstimateOptions::planar()), prior, LocalizeOptions::default());
     let one = |k: u32| {
         let truth = along(-0.2 * f64::from(k));

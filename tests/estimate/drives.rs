@@ -3,7 +3,7 @@
 use super::*;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::{PoseCovariance, PoseEstimate};
+use presight_model::geometry::{PoseCovariance, PoseEstimate, RobotPose};
 
 /// A pose on a round trip through the room, looking ahead and slightly down.
 fn on_the_way(k: usize) -> Pose {
@@ -17,7 +17,7 @@ fn at(stamp: f64, frame: Frame) -> Frame {
 }
 
 fn localizer(start: &Pose) -> Localizer {
-    let prior = PoseEstimate::of_sigmas(*start, 0.05, 0.03);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(*start), 0.05, 0.03);
     Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default())
 }
 

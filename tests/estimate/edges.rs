@@ -10,7 +10,7 @@ use presight_localize::extract::{
 };
 use presight_localize::matching::Detection;
 use presight_localize::simulate::GreySimulator;
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose, SensorPose};
 use presight_model::measured::GreyImage;
 use presight_model::placement::place_layer;
 use std::time::Duration;
@@ -31,12 +31,12 @@ fn predicted(world: &World, pose: &Pose) -> FeaturePrediction {
     let request = Request::default()
         .with_features(FeatureOptions::default().with_placed(placed))
         .with_regions(BoxOptions::default().with_sensor_sigmas([t, t, t, r, r, r]));
-    predictor().predict(world, &video(), pose, &request).unwrap().features.unwrap()
+    predictor().predict(world, &video(), &SensorPose::new(*pose), &request).unwrap().features.unwrap()
 }
 
 fn picture(world: &World, pose: &Pose, seed: u64) -> GreyImage {
     let mut simulator = GreySimulator::new(predictor(), video(), 0.7, NOISE, seed).unwrap();
-    simulator.frame(world, 0.0, pose).unwrap().grey().unwrap().clone()
+    simulator.frame(world, 0.0, &RobotPose::new(*pose)).unwrap().grey().unwrap().clone()
 }
 
 /// A predicted edge with the best match near it. `t` holds the ends of the visible part.
@@ -102,7 +102,9 @@ fn edges_alone_determine_the_pose() {
             SeenSegment { ends: p.ends, found: [ends[0], ends[1]], sigma: sigma.hypot(0.1), feature: 0 }
         };
         let source = ImageSource::new(&camera, Vec::new(), pairs.iter().map(segment).collect());
-        let found = fit(&[&source], &PoseEstimate::of_sigmas(believed, KNOWN.0, KNOWN.1), Freedom::Full).unwrap();
+        let found =
+            fit(&[&source], &PoseEstimate::of_sigmas(RobotPose::new(believed), KNOWN.0, KNOWN.1), Freedom::Full)
+                .unwrap();
         let (m, d) = apart(&found.pose.world_from_robot, &truth);
         (metres, degrees) = (metres.max(m), degrees.max(d));
         let (squared, numbers) = nees(&found.pose, &truth);
@@ -129,7 +131,7 @@ fn a_point_ahead() {
         feature: 0,
     };
     let source = ImageSource::new(&camera, vec![point; 4], Vec::new());
-    let mut prior = PoseEstimate::of_sigmas(Pose::IDENTITY, 1e-6, 1e-6);
+    let mut prior = PoseEstimate::of_sigmas(RobotPose::IDENTITY, 1e-6, 1e-6);
     prior.covariance[1][1] = 100.0;
     let answer = fit(&[&source], &prior, Freedom::Full).unwrap();
     let t = answer.pose.world_from_robot.translation;

@@ -9,7 +9,7 @@ use presight_localize::extract::FeatureClass;
 use presight_localize::localize::Phase;
 use presight_localize::matching::Shape;
 use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 use presight_model::placement::place_layer;
 use presight_testkit::tags::add_tag;
 use std::sync::Arc;
@@ -74,7 +74,7 @@ fn layer(world: &World, tags: &[Tag], corners: &[[DVec3; 4]], sigma: f64) -> Pla
 fn seen_in(real: &World, tags: &[Tag], believed: &Pose, truth: &Pose, seed: u64) -> Estimate {
     let (map, corners) = with_tags(tags);
     let features = layer(&map, tags, &corners, 0.0);
-    let prior = PoseEstimate::of_sigmas(*believed, KNOWN.0, KNOWN.1);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(*believed), KNOWN.0, KNOWN.1);
     let mut estimator = estimator(EstimateOptions::default()).with_features(features);
     estimator.estimate(&map, &[&grey(&video(), real, truth, 0.0, seed)], &prior).unwrap()
 }
@@ -87,7 +87,7 @@ fn a_tag_square_ahead() {
     let corners = add_tag(&mut environment, "board", 3, &facing(2.0 * DVec3::X), 0.4);
     let world = World::new(environment);
     let features = layer(&world, &[(3, [2.0, 0.0, 0.0], 0.4)], &[corners], 0.0);
-    let prior = PoseEstimate::of_sigmas(Pose::IDENTITY, 0.01, 0.005);
+    let prior = PoseEstimate::of_sigmas(RobotPose::IDENTITY, 0.01, 0.005);
     let mut estimator = estimator(EstimateOptions::default()).with_features(features);
     let found = estimator.estimate(&world, &[&grey(&video(), &world, &Pose::IDENTITY, 0.0, 1)], &prior).unwrap();
     let findings = &found.findings[0];
@@ -184,7 +184,7 @@ fn a_pose_is_known_no_better_than_its_tags() {
     let (world, corners) = with_tags(&TAGS[..3]);
     // In front of the middle of the three.
     let place = Pose { translation: DVec3::new(2.2, 1.7, 4.9 / 3.0), ..place() };
-    let prior = PoseEstimate::of_sigmas(place, 0.05, 1e-4);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(place), 0.05, 1e-4);
     let sigma_of = |sigma: f64| {
         let options = EstimateOptions::default().with_offset_sigma(1e-4);
         let mut estimator = estimator(options).with_features(layer(&world, &TAGS[..3], &corners, sigma));

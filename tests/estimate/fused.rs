@@ -8,7 +8,7 @@ use presight_localize::estimate::{Estimate, EstimateState, nees};
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::Phase;
 use presight_model::error::ErrorKind;
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 use presight_model::measured::GreyImage;
 use presight_model::placement::place_layer;
 
@@ -42,7 +42,7 @@ fn errors(map: &World, real: &World) -> [(f64, f64, f64); 3] {
     for seed in 0..draws {
         let truth = off_by(&place(), 0.2, 4.0, &mut random);
         let believed = off_by(&truth, 0.03, 0.6, &mut random);
-        let prior = PoseEstimate::of_sigmas(believed, 0.03, 0.01);
+        let prior = PoseEstimate::of_sigmas(RobotPose::new(believed), 0.03, 0.01);
         let (grey, ranges) = (grey(&video(), real, &truth, 0.0, seed), sense(real, &camera(0.01), &truth, &mut random));
         for (frames, sums) in [vec![&ranges], vec![&grey], vec![&ranges, &grey]].into_iter().zip(&mut all) {
             let found = estimate(map, &features, &frames, &prior);
@@ -79,7 +79,7 @@ fn features_are_classed_by_ranges() {
     add_box(&mut environment, "screen", Vec3::new(4.0, 3.0, 0.0), Vec3::new(4.05, 4.0, 2.2));
     let real = World::new(environment);
     let frames = [sense(&real, &camera(0.01), &place(), &mut Random(3)), grey(&video(), &real, &place(), 0.0, 3)];
-    let prior = PoseEstimate::of_sigmas(place(), 0.01, 0.005);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(place()), 0.01, 0.005);
     let options = EstimateOptions::default().with_least_explained(0.4);
     let mut estimator = estimator(options).with_features(features);
     let found = estimator.estimate(&map, &[&frames[0], &frames[1]], &prior).unwrap();
@@ -123,7 +123,7 @@ fn drives_are_tracked_by_grey_images() {
 fn images_without_content_determine_nothing() {
     let world = room(Vec3::ZERO);
     let features = edges(&world);
-    let prior = PoseEstimate::of_sigmas(place(), 0.03, 0.01);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(place()), 0.03, 0.01);
     let frame = |value: f32| {
         let image = GreyImage::new(240, 180, vec![value; 240 * 180]).unwrap();
         Frame::new(0.0, video(), Measurement::Grey(image)).unwrap()

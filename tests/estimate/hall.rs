@@ -5,7 +5,7 @@ use super::*;
 use presight_localize::estimate::nees;
 use presight_localize::localize::{LocalizeOptions, Localizer};
 use presight_localize::simulate::{Disturbances, Simulator, displace};
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 use presight_predict::free_poses::free_poses;
 use presight_read::gltf::import;
 
@@ -40,10 +40,10 @@ fn drive(map: &World, real: &World, places: &[Pose]) -> Errors {
             Pose::from_xyz_rpy(place.translation + aside, 0.0, 0.0, yaw + 0.5 * (0.7 * a).sin())
         };
         let mut simulator = Simulator::new(predictor(), laser(), Disturbances::default(), seed).unwrap();
-        let prior = PoseEstimate::of_sigmas(pose(0), 0.03, 0.02);
+        let prior = PoseEstimate::of_sigmas(RobotPose::new(pose(0)), 0.03, 0.02);
         let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
         for k in 0..frames {
-            let frame = simulator.frame(real, k as f64, &pose(k)).unwrap();
+            let frame = simulator.frame(real, k as f64, &RobotPose::new(pose(k))).unwrap();
             let step = robot.step(map, &frame).unwrap();
             assert!(step.estimate.is_determined(), "place {seed}, frame {k}: {}", step.reason);
             let (squared, numbers) = nees(&step.pose, &pose(k));
@@ -110,10 +110,11 @@ fn a_pose_is_told_where_the_robot_may_be() {
         let a = 0.1 * f64::from(k);
         let at = place.translation + DVec3::new(0.125 * a.cos() - 0.125, 0.125 * a.sin(), 0.0);
         let truth = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw + 0.5 * (0.35 * a).sin());
-        let frame = simulator.frame(&map, f64::from(k), &truth).unwrap();
+        let frame = simulator.frame(&map, f64::from(k), &RobotPose::new(truth)).unwrap();
         let off = std::array::from_fn(|axis| if axis < 3 { 0.02 } else { 0.01 } * normal(&mut random));
-        let found =
-            estimator.estimate(&map, &[&frame], &PoseEstimate::of_sigmas(moved(&truth, &off), 0.02, 0.01)).unwrap();
+        let found = estimator
+            .estimate(&map, &[&frame], &PoseEstimate::of_sigmas(RobotPose::new(moved(&truth, &off)), 0.02, 0.01))
+            .unwrap();
         let (metres, degrees) = apart(&found.pose.world_from_robot, &truth);
         assert!(found.is_determined() && metres < 0.02 && degrees < 0.1, "{k}: {metres} m {degrees} deg");
     }
@@ -138,12 +139,16 @@ fn two_sensors_in_a_scripted_hall() {
             .collect();
         let planar = EstimateOptions::planar().with_model_sigma(0.0).with_offset_sigma(0.003);
         let options = if sensors.iter().all(|s| s.height() == 1) { planar } else { EstimateOptions::default() };
-        let mut robot =
-            Localizer::new(estimator(options), PoseEstimate::of_sigmas(start, 0.03, 0.02), LocalizeOptions::default());
+        let mut robot = Localizer::new(
+            estimator(options),
+            PoseEstimate::of_sigmas(RobotPose::new(start), 0.03, 0.02),
+            LocalizeOptions::default(),
+        );
         let mut squares = 0.0;
         for k in 0..frames {
             let truth = start * Pose::from_xyz_rpy(DVec3::new(0.05 * k as f64, 0.0, 0.0), 0.0, 0.0, 0.02 * k as f64);
-            let all: Vec<Frame> = simulators.iter_mut().map(|s| s.frame(&map, k as f64, &truth).unwrap()).collect();
+            let all: Vec<Frame> =
+                simulators.iter_mut().map(|s| s.frame(&map, k as f64, &RobotPose::new(truth)).unwrap()).collect();
             let step = robot.step_together(&map, &all[0], &all[1..].iter().collect::<Vec<_>>()).unwrap();
             assert!(step.estimate.is_determined(), "{} sensors, frame {k}: {}", sensors.len(), step.reason);
             let (squared, numbers) = nees(&step.pose, &truth);

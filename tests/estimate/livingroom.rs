@@ -4,7 +4,7 @@
 use super::*;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_model::environment::{Polygon, PolygonOrder};
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 use presight_read::gltf::import;
 use presight_read::log::Frames;
 use std::path::Path;
@@ -101,8 +101,9 @@ fn against_the_first_frame() {
         for k in 1..5 {
             let frame = whole_frame(folder, k, camera.clone()).thinned(4).unwrap();
             // Starts from the previous frame's pose.
-            let answer =
-                found.estimate(&surface, &[&frame], &PoseEstimate::of_sigmas(truth[k - 1], 0.03, 0.02)).unwrap();
+            let answer = found
+                .estimate(&surface, &[&frame], &PoseEstimate::of_sigmas(RobotPose::new(truth[k - 1]), 0.03, 0.02))
+                .unwrap();
             let (metres, degrees) = apart(&answer.pose.world_from_robot, &truth[k]);
             assert!(metres <= most_metres && degrees <= most_degrees, "{folder} {k}: {metres} m {degrees} deg");
             assert!(answer.is_determined(), "{folder} {k}: {:?}", answer.state);
@@ -121,7 +122,8 @@ fn against_exact_poses() {
     {
         for (k, truth) in truth.iter().enumerate() {
             let frame = whole_frame(folder, k, camera.clone()).thinned(4).unwrap();
-            let answer = found.estimate(&map, &[&frame], &PoseEstimate::of_sigmas(*truth, 0.03, 0.02)).unwrap();
+            let answer =
+                found.estimate(&map, &[&frame], &PoseEstimate::of_sigmas(RobotPose::new(*truth), 0.03, 0.02)).unwrap();
             let (metres, degrees) = apart(&answer.pose.world_from_robot, truth);
             assert!(metres <= most_metres && degrees <= most_degrees, "{folder} {k}: {metres} m {degrees} deg");
             assert!(answer.is_determined(), "{folder} {k}: {:?}", answer.state);
@@ -141,10 +143,12 @@ fn far_off_priors_converge_or_stay_undetermined() {
         let (mut right, mut predictions) = (0, Vec::new());
         for k in (1..200).step_by(every) {
             let frame = frame("depth", k, 0.005);
-            let there = found.estimate(&map, &[&frame], &PoseEstimate::of_sigmas(reference[k], 0.03, 0.02)).unwrap();
+            let there = found
+                .estimate(&map, &[&frame], &PoseEstimate::of_sigmas(RobotPose::new(reference[k]), 0.03, 0.02))
+                .unwrap();
             let off = off_by(&reference[k], metres, degrees, &mut random);
             let axis = 3f64.sqrt();
-            let prior = PoseEstimate::of_sigmas(off, metres / axis, f64::to_radians(degrees) / axis);
+            let prior = PoseEstimate::of_sigmas(RobotPose::new(off), metres / axis, f64::to_radians(degrees) / axis);
             let answer = found.estimate(&map, &[&frame], &prior).unwrap();
             let (m, d) = apart(&answer.pose.world_from_robot, &there.pose.world_from_robot);
             let ok = m < 0.01 && d < 0.5;
@@ -164,7 +168,7 @@ fn far_off_priors_converge_or_stay_undetermined() {
 #[test]
 fn the_flight_is_tracked() {
     let Some(map) = map() else { return };
-    let prior = PoseEstimate::of_sigmas(poses("poses.txt")[0], 0.05, 0.035);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(poses("poses.txt")[0]), 0.05, 0.035);
     let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
     for k in 0..40 {
         let seen = frame("depth", k, 0.005);
@@ -186,7 +190,8 @@ fn an_unknown_start_is_found() {
     let log = presight_testkit::data::file("rgbd/livingroom").unwrap();
     let frames = Frames::open(&log, None, &Default::default()).unwrap().map(Result::unwrap);
     let frames = frames.skip_while(|o| o.frame.stamp < 30.0);
-    let mut frames = frames.map(|o| (o.frame.thinned(4).unwrap(), o.reference.unwrap())).take(10).peekable();
+    let mut frames =
+        frames.map(|o| (o.frame.thinned(4).unwrap(), o.reference.unwrap().world_from_robot())).take(10).peekable();
     let (floor, floor_to, lean) = (0.75, 1.3, [0.0, 16.6f64.to_radians()]);
     // A coarser grid than the default and half of the candidates: 5 seconds instead of 14.
     let options = SearchOptions::default()

@@ -30,7 +30,7 @@ use presight_localize::estimate::{EstimateOptions, Estimator, moved};
 use presight_localize::localize::{LocalizeOptions, Localizer, Step};
 use presight_localize::simulate::GreySimulator;
 use presight_model::environment::{Environment, Material, Mesh, NewObject};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose, SensorPose};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::statistics::normal_pair;
@@ -108,7 +108,7 @@ pub fn direction(random: &mut Random) -> DVec3 {
 
 /// Simulates the measurement of a sensor at the robot's origin, with the sensor's stated noise.
 pub fn sense(world: &World, sensor: &Sensor, pose: &Pose, random: &mut Random) -> Frame {
-    let seen = predictor().predict(world, sensor, pose, &Request::default()).unwrap();
+    let seen = predictor().predict(world, sensor, &SensorPose::new(*pose), &Request::default()).unwrap();
     let sigma = sensor.spec().noise.range_sigma;
     let noisy = |r: &f32| (f64::from(*r) + sigma * normal(random)) as f32;
     Frame::new(0.0, sensor.clone(), Measurement::Range(seen.images.range.iter().map(noisy).collect())).unwrap()
@@ -133,7 +133,10 @@ pub fn video() -> Sensor {
 
 /// A simulated grey image.
 pub fn grey(video: &Sensor, world: &World, pose: &Pose, stamp: f64, seed: u64) -> Frame {
-    GreySimulator::new(predictor(), video.clone(), 0.7, 0.01, seed).unwrap().frame(world, stamp, pose).unwrap()
+    GreySimulator::new(predictor(), video.clone(), 0.7, 0.01, seed)
+        .unwrap()
+        .frame(world, stamp, &RobotPose::new(*pose))
+        .unwrap()
 }
 
 /// Four frames along x, 3 cm apart, localized by grey images with or without ranges: the true poses and the steps.
@@ -145,7 +148,11 @@ pub fn drive(
     with_ranges: bool,
 ) -> Vec<(Pose, Step)> {
     let estimator = estimator(EstimateOptions::default()).with_features(features.clone());
-    let mut robot = Localizer::new(estimator, PoseEstimate::of_sigmas(*from, 0.02, 0.01), LocalizeOptions::default());
+    let mut robot = Localizer::new(
+        estimator,
+        PoseEstimate::of_sigmas(RobotPose::new(*from), 0.02, 0.01),
+        LocalizeOptions::default(),
+    );
     let step = |k: u32| {
         let stamp = f64::from(k);
         let truth = Pose { translation: from.translation + 0.03 * stamp * DVec3::X, ..*from };

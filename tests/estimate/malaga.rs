@@ -43,10 +43,13 @@ fn a_run_of_scans_is_tracked() {
     for (k, Observation { frame, reference }) in frames.iter().enumerate() {
         let step = robot.step(&map, frame).unwrap();
         assert!(k < 2 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
-        let (m, d) = apart(&step.pose.world_from_robot, &reference.unwrap());
+        let (m, d) = apart(&step.pose.world_from_robot, &reference.unwrap().world_from_robot());
         metres.push(m);
         degrees.push(d);
-        sum += nees(&motion_between(&reference.unwrap(), &step.pose.world_from_robot), &step.pose.covariance);
+        sum += nees(
+            &motion_between(&reference.unwrap().world_from_robot(), &step.pose.world_from_robot),
+            &step.pose.covariance,
+        );
         let off = step.estimate.verdicts[0].difference.iter().filter(|d| !d.is_nan());
         (near, beams) = off.fold((near, beams), |(n, b), d| (n + usize::from(d.abs() <= 0.1), b + 1));
     }
@@ -125,7 +128,7 @@ fn an_unknown_start_is_found_and_a_mirrored_map_is_not() {
                 let is_late = start == 0 && k >= 2 && !mirror && phase != Phase::Tracking;
                 assert!(!is_late, "{k}: {}", step.reason);
                 if phase == Phase::Tracking {
-                    let (m, d) = apart(&step.pose.world_from_robot, &reference.unwrap());
+                    let (m, d) = apart(&step.pose.world_from_robot, &reference.unwrap().world_from_robot());
                     assert!(
                         !mirror && m < 0.1 && d < 1.0,
                         "{start}, {k}, mirrored {mirror}: {m} m {d} deg, {}",
@@ -155,7 +158,7 @@ fn the_best_candidate_of_a_scan_is_right() {
     let mut wrong = 0;
     for Observation { frame, reference } in frames.iter().step_by(every).take(if every > 1 { 2 } else { 37 }) {
         let best = &search.candidates(&mut found, &map, frame).unwrap()[0];
-        let (m, d) = apart(&best.pose.world_from_robot, &reference.unwrap());
+        let (m, d) = apart(&best.pose.world_from_robot, &reference.unwrap().world_from_robot());
         wrong += usize::from(m > 0.1 || d > 1.0);
     }
     assert!(wrong <= 1 && (wrong == 0 || every == 1), "{wrong} are wrong");

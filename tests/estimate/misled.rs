@@ -4,6 +4,7 @@
 use super::changed::{hall, wander};
 use super::*;
 use presight_localize::localize::Phase;
+use presight_model::geometry::RobotPose;
 use presight_model::measured::{Motion, OdometryNoise};
 use presight_testkit::caster::Caster;
 
@@ -20,7 +21,7 @@ fn row_scanner(yaw_deg: f64) -> Sensor {
 fn followed(map: &World, real: &World, mislead: impl Fn(usize, Frame) -> Frame) -> (usize, usize, Vec<String>) {
     let way = wander(real, 6.0);
     let mut caster = Caster::new(real.environment(), row_scanner(0.0), 1);
-    let prior = PoseEstimate::of_sigmas(way.at(0.0), 0.05, 0.03);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(way.at(0.0)), 0.05, 0.03);
     let mut robot = Localizer::new(estimator(EstimateOptions::planar()), prior, LocalizeOptions::default());
     let (mut tracked, mut wrong) = (0, 0);
     for k in 0..50 {

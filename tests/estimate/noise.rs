@@ -5,7 +5,7 @@ use super::*;
 use presight_localize::estimate::{Gate, Kernel, Normal, RangeSource, Residuals, measured_points, nees};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_localize::verdict::{ExpectedImage, Surfaces};
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 use presight_model::measured::RangeNoise;
 use presight_model::sensor::{Distortion, Noise};
 use presight_predict::free_poses::free_poses;
@@ -45,7 +45,9 @@ fn small() -> Camera {
 /// unweighted.
 fn said_of(world: &World, frame: &Frame, truth: &Pose, metres: f64) -> Normal {
     let sensor = frame.sensor();
-    let expected = ExpectedImage::predict(&mut predictor(), world, &mut Surfaces::default(), sensor, truth).unwrap();
+    let expected =
+        ExpectedImage::predict(&mut predictor(), world, &mut Surfaces::default(), sensor, &RobotPose::new(*truth))
+            .unwrap();
     let points = measured_points(frame);
     let source = RangeSource::new(&expected, &points, RangeNoise::of(sensor));
     let kernel = Kernel::Redescending { spread: 1.0 };
@@ -63,7 +65,7 @@ fn noise_does_not_choose_the_surface() {
     let mut simulator = Simulator::new(predictor(), sensor, undisturbed(), 1).unwrap();
     let (mut sum, frames) = (0.0, 6);
     for k in 0..frames {
-        let frame = simulator.frame(&world, f64::from(k), &Pose::IDENTITY).unwrap();
+        let frame = simulator.frame(&world, f64::from(k), &RobotPose::IDENTITY).unwrap();
         let [there, ahead] = [0.0, 0.02].map(|metres| said_of(&world, &frame, &Pose::IDENTITY, metres));
         sum += (ahead.gradient[0] - there.gradient[0]) / there.information[0][0] / 0.02 / f64::from(frames);
     }
@@ -81,7 +83,7 @@ fn noise_does_not_choose_the_weight() {
     let mut simulator = Simulator::new(predictor(), sensor, undisturbed(), 2).unwrap();
     let (mut mean, mut variance, frames) = (0.0, 0.0, 12);
     for k in 0..frames {
-        let frame = simulator.frame(&world, f64::from(k), &Pose::IDENTITY).unwrap();
+        let frame = simulator.frame(&world, f64::from(k), &RobotPose::IDENTITY).unwrap();
         let said = said_of(&world, &frame, &Pose::IDENTITY, 0.0);
         mean += said.gradient[0] / said.information[0][0] / f64::from(frames);
         variance += said.noise[0][0] / said.information[0][0].powi(2) / f64::from(frames).powi(2);
@@ -102,7 +104,7 @@ fn noise_does_not_choose_the_lever() {
     let aslant = Pose::from_xyz_rpy(DVec3::ZERO, 0.0, 0.0, 0.5);
     let (mut mean, frames) = (0.0, 12);
     for k in 0..frames {
-        let frame = simulator.frame(&world, f64::from(k), &aslant).unwrap();
+        let frame = simulator.frame(&world, f64::from(k), &RobotPose::new(aslant)).unwrap();
         let said = said_of(&world, &frame, &aslant, 0.0);
         mean += said.gradient[5] / said.noise[5][5].sqrt() / f64::from(frames);
     }
@@ -117,7 +119,7 @@ fn a_surface_at_the_end_of_the_range_is_ignored() {
     for (range_max, says) in [(6.1, false), (10.0, true)] {
         let sensor = noisy_camera(small(), Noise { range_sigma: 0.05, ..Noise::default() }, range_max);
         let mut simulator = Simulator::new(predictor(), sensor, undisturbed(), 4).unwrap();
-        let frame = simulator.frame(&world, 0.0, &Pose::IDENTITY).unwrap();
+        let frame = simulator.frame(&world, 0.0, &RobotPose::IDENTITY).unwrap();
         let said = said_of(&world, &frame, &Pose::IDENTITY, 0.0);
         assert!(said.compared > 100, "{} points", said.compared);
         assert_eq!(said.information[0][0] > 0.0, says, "up to {range_max} m");
@@ -144,9 +146,9 @@ fn a_noisy_depth_camera_has_consistent_covariances() {
             let (a, yaw) = (0.1 * f64::from(k), place.rotation.to_euler(glam::EulerRot::ZYX).0);
             let at = place.translation + DVec3::new(0.125 * a.cos() - 0.125, 0.125 * a.sin(), 0.0);
             let truth = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw + 0.5 * (0.35 * a).sin());
-            let frame = simulator.frame(&world, f64::from(k), &truth).unwrap();
+            let frame = simulator.frame(&world, f64::from(k), &RobotPose::new(truth)).unwrap();
             let off = std::array::from_fn(|axis| if axis < 3 { 0.02 } else { 0.01 } * normal(&mut random));
-            let prior = PoseEstimate::of_sigmas(moved(&truth, &off), 0.02, 0.01);
+            let prior = PoseEstimate::of_sigmas(RobotPose::new(moved(&truth, &off)), 0.02, 0.01);
             let found = estimator.estimate(&world, &[&frame], &prior).unwrap();
             sum += nees(&found.pose, &truth).0 / 6.0 / f64::from(frames);
             turned += apart(&found.pose.world_from_robot, &truth).1.powi(2) / f64::from(frames);

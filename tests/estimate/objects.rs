@@ -5,7 +5,7 @@ use presight_localize::estimate::Freedom;
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_localize::verdict::{Verdict, of_coarse_model};
 use presight_model::environment::{FeatureLayer, Polygon, PolygonOrder};
-use presight_model::geometry::{InObject, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{InObject, PoseCovariance, PoseEstimate, RobotPose};
 
 fn diagonal(variances: [f64; 6]) -> PoseCovariance<InObject> {
     PoseCovariance::from_sigmas(variances.map(f64::sqrt))
@@ -45,7 +45,8 @@ fn ray(range: f32, sigma: f64) -> Frame {
 #[test]
 fn the_pose_is_no_more_certain_than_the_map() {
     let pose = Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0);
-    let prior = PoseEstimate::new(pose, PoseCovariance::from_sigmas([0.2, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6]));
+    let prior =
+        PoseEstimate::new(RobotPose::new(pose), PoseCovariance::from_sigmas([0.2, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6]));
     let options = EstimateOptions::default().with_freedom(Freedom::Planar).with_offset_sigma(0.0);
     let variance = |world: &World| {
         let found = estimator(options).estimate(world, &[&ray(4.0, 0.01)], &prior).unwrap();
@@ -64,7 +65,8 @@ fn the_pose_is_no_more_certain_than_the_map() {
 #[test]
 fn an_object_counts_by_its_existence() {
     let pose = Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0);
-    let prior = PoseEstimate::new(pose, PoseCovariance::from_sigmas([0.2, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6]));
+    let prior =
+        PoseEstimate::new(RobotPose::new(pose), PoseCovariance::from_sigmas([0.2, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6]));
     let options = EstimateOptions::default().with_freedom(Freedom::Planar).with_offset_sigma(0.0);
     let mut world = wall(None);
     for (existence, information) in [(1.0, 10_025.0), (0.25, 2525.0)] {
@@ -86,7 +88,7 @@ fn uncertain_walls_are_not_contradicted() {
     let pose = Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0);
     let verdict = |stored: Option<[f64; 6]>| {
         let (world, frame) = (wall(stored), ray(3.95, 0.005));
-        let known = PoseEstimate::exact(pose);
+        let known = PoseEstimate::exact(RobotPose::new(pose));
         of_coarse_model(&mut predictor(), &world, &frame, &known, 0.001).unwrap().pixels[0]
     };
     assert_eq!(verdict(None), Verdict::Nearer);
@@ -107,8 +109,10 @@ fn docking_is_relative() {
     real.apply(presight_model::change::Change::SetPose { name: "shelf".into(), world_from_object: shelf }).unwrap();
     let truth = Pose::from_xyz_rpy(DVec3::new(2.0, 3.0, 1.8), 0.0, 0.2, 0.3);
     let none = Disturbances::default().with_drop_outs(0.0).with_mixed_pixels(0.0).with_slip(0.0).with_turn_slip(0.0);
-    let frame = Simulator::new(predictor(), camera(0.003), none, 4).unwrap().frame(&real, 0.0, &truth).unwrap();
-    let prior = PoseEstimate::of_sigmas(moved(&truth, &[0.01, -0.01, 0.0, 0.0, 0.005, 0.0]), 0.024, 0.01);
+    let frame =
+        Simulator::new(predictor(), camera(0.003), none, 4).unwrap().frame(&real, 0.0, &RobotPose::new(truth)).unwrap();
+    let prior =
+        PoseEstimate::of_sigmas(RobotPose::new(moved(&truth, &[0.01, -0.01, 0.0, 0.0, 0.005, 0.0])), 0.024, 0.01);
     let index = map.environment().index_of("shelf").unwrap();
     let off = |only: Option<u32>| {
         let options = EstimateOptions::default().with_only(only);

@@ -9,7 +9,7 @@ use presight_localize::estimate::{Estimate, Freedom, motion_between, nees};
 use presight_localize::extract::FeatureClass;
 use presight_localize::localize::{Phase, Search, SearchOptions};
 use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 use presight_model::measured::{GreyImage, Motion, OdometryNoise};
 use presight_model::placement::place_layer;
 
@@ -96,7 +96,7 @@ fn options() -> EstimateOptions {
 fn estimate(map: &World, known: &[Spot], frame: &Frame) -> Estimate {
     let off = moved(&truth(), &[0.25, 0.05, 0.0, 0.0, 0.0, 0.03]);
     let mut estimator = estimator(options()).with_features(layer(map, known, 0.005));
-    estimator.estimate(map, &[frame], &PoseEstimate::of_sigmas(off, 0.3, 0.05)).unwrap()
+    estimator.estimate(map, &[frame], &PoseEstimate::of_sigmas(RobotPose::new(off), 0.3, 0.05)).unwrap()
 }
 
 fn classes(found: &Estimate) -> Vec<&'static str> {
@@ -141,7 +141,7 @@ fn a_reflector_abeam() {
     let map = corridor(&[]);
     let frame = scan(&map, &[(0.0, WALL)], &truth(), 3);
     for (sigma, by_hand) in [(0.005, 0.00507), (0.03, 0.03001)] {
-        let prior = PoseEstimate::of_sigmas(truth(), 0.3, 0.05);
+        let prior = PoseEstimate::of_sigmas(RobotPose::new(truth()), 0.3, 0.05);
         let mut estimator = estimator(options()).with_features(layer(&map, &[(0.0, WALL)], sigma));
         let found = estimator.estimate(&map, &[&frame], &prior).unwrap();
         let (x, told) = along(&found);
@@ -230,7 +230,8 @@ fn reflectors_that_repeat_leave_places_open() {
     let frame = scan(&map, &spots, &truth(), 7);
     let mut estimator = estimator(options()).with_features(layer(&map, &spots, 0.005));
     for off in [0.0, 0.45, 0.7, 1.0] {
-        let mut prior = PoseEstimate::of_sigmas(moved(&truth(), &[off, 0.02, 0.0, 0.0, 0.0, 0.0]), 0.6, 0.02);
+        let mut prior =
+            PoseEstimate::of_sigmas(RobotPose::new(moved(&truth(), &[off, 0.02, 0.0, 0.0, 0.0, 0.0])), 0.6, 0.02);
         prior.covariance[1][1] = 0.01;
         let found = estimator.estimate(&map, &[&frame], &prior).unwrap();
         let (x, sigma) = along(&found);
@@ -248,8 +249,11 @@ fn a_drive_is_tracked_by_reflectors() {
     let mut ends = Vec::new();
     for known in [&spots[..], &[]] {
         let estimator = estimator(options()).with_features(layer(&map, known, 0.005));
-        let mut robot =
-            Localizer::new(estimator, PoseEstimate::of_sigmas(truth(), 0.03, 0.02), LocalizeOptions::default());
+        let mut robot = Localizer::new(
+            estimator,
+            PoseEstimate::of_sigmas(RobotPose::new(truth()), 0.03, 0.02),
+            LocalizeOptions::default(),
+        );
         let mut worst = 0.0f64;
         for k in 0..16 {
             let pose = moved(&truth(), &[0.2 * f64::from(k), 0.0, 0.0, 0.0, 0.0, 0.0]);
@@ -287,7 +291,8 @@ fn reflectors_determine_the_pose_where_walls_are_hidden() {
     let real = corridor(&boxes);
     let known_to = |spots: &[Spot]| {
         let mut estimator = estimator(options()).with_features(layer(&map, spots, 0.005));
-        let prior = PoseEstimate::of_sigmas(moved(&truth(), &[0.03, 0.02, 0.0, 0.0, 0.0, 0.01]), 0.02, 0.01);
+        let prior =
+            PoseEstimate::of_sigmas(RobotPose::new(moved(&truth(), &[0.03, 0.02, 0.0, 0.0, 0.0, 0.01])), 0.02, 0.01);
         estimator.estimate(&map, &[&scan(&real, &THREE, &truth(), 8)], &prior).unwrap()
     };
     let found = known_to(&THREE);

@@ -4,7 +4,7 @@ use super::*;
 use presight_localize::estimate::{Freedom, Gate, Kernel, RangeSource, Residuals, measured_points, motion_between};
 use presight_localize::verdict::{ExpectedImage, Surfaces};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 use presight_model::measured::RangeNoise;
 use presight_model::sensor::RayTable;
 
@@ -31,7 +31,7 @@ fn a_corner_of_three_planes() {
     };
     // The robot is at (2.02, 1.97, 1.01): 3.98 m before the wall x = 6, 2.03 m before y = 4, 1.01 m above the floor.
     let frames = [ray(DVec3::X, 3.98), ray(DVec3::Y, 2.03), ray(DVec3::NEG_Z, 1.01)];
-    let prior = PoseEstimate::of_sigmas(Pose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0), 0.2, 1e-6);
+    let prior = PoseEstimate::of_sigmas(RobotPose::from_xyz_rpy(DVec3::new(2.0, 2.0, 1.0), 0.0, 0.0, 0.0), 0.2, 1e-6);
     let found = estimator(exact()).estimate(&world, &frames.each_ref(), &prior).unwrap();
     // The prior pulls each axis back by 0.0001 / 0.0401 of the distance.
     let kept = 1.0 - 0.0001 / 0.0401;
@@ -68,7 +68,8 @@ fn jacobians_equal_finite_differences() {
         let at = DVec3::new(random.uniform(0.5, 1.8), random.uniform(1.8, 3.5), random.uniform(0.9, 2.0));
         let robot = Pose::from_xyz_rpy(at, 0.1, -0.1, random.uniform(-3.0, 3.0));
         let expected =
-            ExpectedImage::predict(&mut predictor(), &world, &mut Surfaces::default(), &sensor, &robot).unwrap();
+            ExpectedImage::predict(&mut predictor(), &world, &mut Surfaces::default(), &sensor, &RobotPose::new(robot))
+                .unwrap();
         let pixel = expected.pixels()[0];
         if !pixel.range.is_finite() || expected.pixels()[1].group != pixel.group {
             continue;
@@ -116,7 +117,7 @@ fn a_room_is_found_from_far_off() {
         let at = DVec3::new(1.0 + 0.03 * f64::from(k), 2.4, 1.4);
         let truth = Pose::from_xyz_rpy(at, 0.0, 0.25, -0.4 + 0.05 * f64::from(k));
         let frame = sense(&world, &sensor, &truth, &mut random);
-        let prior = PoseEstimate::of_sigmas(off_by(&truth, 0.2, 10.0, &mut random), 0.12, 0.1);
+        let prior = PoseEstimate::of_sigmas(RobotPose::new(off_by(&truth, 0.2, 10.0, &mut random)), 0.12, 0.1);
         let answer = found.estimate(&world, &[&frame], &prior).unwrap();
         let (metres, degrees) = apart(&answer.pose.world_from_robot, &truth);
         let ok = metres < 0.01 && degrees < 0.5;
@@ -136,7 +137,8 @@ fn a_planar_robot_is_found_by_its_scanner() {
         let truth = Pose::from_xyz_rpy(DVec3::new(1.2, 2.0 + 0.05 * f64::from(k), 0.4), 0.0, 0.0, 0.3 * f64::from(k));
         let frame = sense(&world, &sensor, &truth, &mut random);
         let off = moved(&truth, &[0.1, -0.12, 0.0, 0.0, 0.0, 0.12]);
-        let answer = found.estimate(&world, &[&frame], &PoseEstimate::of_sigmas(off, 0.1, 0.1)).unwrap();
+        let answer =
+            found.estimate(&world, &[&frame], &PoseEstimate::of_sigmas(RobotPose::new(off), 0.1, 0.1)).unwrap();
         let (metres, degrees) = apart(&answer.pose.world_from_robot, &truth);
         assert!(
             answer.is_determined() && metres < 0.01 && degrees < 0.3,
@@ -172,7 +174,7 @@ fn nees(off: f64, offset_sigma: f64) -> f64 {
         }
         let truth = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.5 + 0.02 * f64::from(k));
         let frame = sense(&World::new(real), &sensor, &truth, &mut random);
-        let prior = PoseEstimate::of_sigmas(off_by(&truth, 0.05, 2.0, &mut random), 0.1, 0.1);
+        let prior = PoseEstimate::of_sigmas(RobotPose::new(off_by(&truth, 0.05, 2.0, &mut random)), 0.1, 0.1);
         let answer = found.estimate(&room(Vec3::ZERO), &[&frame], &prior).unwrap();
         let e = motion_between(&truth, &answer.pose.world_from_robot);
         sum += normalized(answer.pose.covariance.as_rows(), &e);
@@ -217,7 +219,7 @@ fn bad_priors_are_usage_errors() {
     let world = room(Vec3::ZERO);
     let truth = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 1.4), 0.0, 0.3, 0.0);
     let frame = sense(&world, &camera(0.01), &truth, &mut Random(4));
-    let good = PoseEstimate::of_sigmas(truth, 0.1, 0.1);
+    let good = PoseEstimate::of_sigmas(RobotPose::new(truth), 0.1, 0.1);
     let with = |i: usize, j: usize, x: f64| {
         let mut prior = good;
         prior.covariance[i][j] = x;

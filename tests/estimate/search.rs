@@ -4,6 +4,7 @@ use super::*;
 use presight_localize::estimate::{Freedom, measured_points};
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 use presight_model::error::ErrorKind;
+use presight_model::geometry::RobotPose;
 use presight_model::measured::{Motion, OdometryNoise};
 use presight_testkit::scenes;
 
@@ -290,7 +291,11 @@ fn check_held(world: &World, held: &Held, freedom: Freedom, is_known: bool, rand
     let options = options().with_lean(held.lean);
     let lean = Pose::from_xyz_rpy(DVec3::ZERO, held.lean[0], held.lean[1], 0.0);
     let mut robot = if is_known {
-        Localizer::new(make(), PoseEstimate::of_sigmas(start() * lean, 0.05, 0.03), LocalizeOptions::default())
+        Localizer::new(
+            make(),
+            PoseEstimate::of_sigmas(RobotPose::new(start() * lean), 0.05, 0.03),
+            LocalizeOptions::default(),
+        )
     } else {
         let search = Search::new(&mut make(), world, &sensor, options).unwrap();
         Localizer::unknown(make(), search, LocalizeOptions::default())

@@ -3,7 +3,7 @@
 use super::*;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_localize::simulate::{Disturbances, Simulator};
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose, SensorPose};
 
 fn simulator(disturbances: Disturbances, seed: u64) -> Simulator {
     Simulator::new(predictor(), camera(0.01), disturbances, seed).unwrap()
@@ -18,8 +18,9 @@ fn undisturbed() -> Disturbances {
 fn noise_has_its_stated_size() {
     let world = room(Vec3::ZERO);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.3);
-    let truth = predictor().predict(&world, &camera(0.01), &pose, &Request::default()).unwrap().images.range;
-    let frame = simulator(undisturbed().with_drop_outs(0.1), 1).frame(&world, 0.0, &pose).unwrap();
+    let truth =
+        predictor().predict(&world, &camera(0.01), &SensorPose::new(pose), &Request::default()).unwrap().images.range;
+    let frame = simulator(undisturbed().with_drop_outs(0.1), 1).frame(&world, 0.0, &RobotPose::new(pose)).unwrap();
     let errors: Vec<f64> =
         frame.ranges().iter().zip(&truth).map(|(a, b)| f64::from(a - b)).filter(|e| e.is_finite()).collect();
     let n = errors.len() as f64;
@@ -29,7 +30,8 @@ fn noise_has_its_stated_size() {
     let lost = frame.ranges().iter().filter(|r| r.is_nan()).count() as f64 / 4800.0;
     assert!((lost - 0.1).abs() < 0.02, "{lost}");
     // The same seed gives the same frame, another seed another frame.
-    let again = |seed| simulator(undisturbed().with_drop_outs(0.1), seed).frame(&world, 0.0, &pose).unwrap();
+    let again =
+        |seed| simulator(undisturbed().with_drop_outs(0.1), seed).frame(&world, 0.0, &RobotPose::new(pose)).unwrap();
     let bits = |f: &Frame| f.ranges().iter().map(|r| r.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&frame), bits(&again(1)));
     assert_ne!(bits(&frame), bits(&again(2)));
@@ -40,8 +42,9 @@ fn noise_has_its_stated_size() {
 fn mixed_pixels_are_at_edges() {
     let world = room(Vec3::ZERO);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.3);
-    let frame =
-        |mixed_pixels| simulator(undisturbed().with_mixed_pixels(mixed_pixels), 3).frame(&world, 0.0, &pose).unwrap();
+    let frame = |mixed_pixels| {
+        simulator(undisturbed().with_mixed_pixels(mixed_pixels), 3).frame(&world, 0.0, &RobotPose::new(pose)).unwrap()
+    };
     let (plain, mixed) = (frame(0.0), frame(1.0));
     let mut changed = 0;
     for i in 0..4799 {
@@ -61,10 +64,10 @@ fn intensities_are_echoes_with_noise() {
     let world = room(Vec3::ZERO);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 2.2, 1.4), 0.0, 0.3, -0.3);
     let asked = Request::of(presight_render::plan::Outputs::of(&[presight_render::plan::Output::Echo]));
-    let echo = predictor().predict(&world, &camera(0.01), &pose, &asked).unwrap().images.echo;
+    let echo = predictor().predict(&world, &camera(0.01), &SensorPose::new(pose), &asked).unwrap().images.echo;
     let lossy = undisturbed().with_drop_outs(0.1);
-    let frame = simulator(lossy, 1).with_intensities(0.05).unwrap().frame(&world, 0.0, &pose).unwrap();
-    let plain = simulator(lossy, 1).frame(&world, 0.0, &pose).unwrap();
+    let frame = simulator(lossy, 1).with_intensities(0.05).unwrap().frame(&world, 0.0, &RobotPose::new(pose)).unwrap();
+    let plain = simulator(lossy, 1).frame(&world, 0.0, &RobotPose::new(pose)).unwrap();
     let bits = |f: &Frame| f.ranges().iter().map(|r| r.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&frame), bits(&plain));
     assert!(plain.intensities().is_none());
@@ -88,11 +91,11 @@ fn a_simulated_log_is_tracked_with_odometry() {
         let t = 0.05 * k as f64;
         Pose::from_xyz_rpy(DVec3::new(1.2 + 0.4 * t.sin(), 2.3 + 0.3 * t.cos(), 1.4), 0.0, 0.25, -0.25 + 0.2 * t.sin())
     };
-    let prior = PoseEstimate::of_sigmas(pose(0), 0.03, 0.02);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(pose(0)), 0.03, 0.02);
     let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
     let mut squares = 0.0;
     for k in 0..60 {
-        let frame = simulator.frame(&world, k as f64, &pose(k)).unwrap();
+        let frame = simulator.frame(&world, k as f64, &RobotPose::new(pose(k))).unwrap();
         assert_eq!(frame.motion.is_some(), k > 0);
         let step = robot.step(&world, &frame).unwrap();
         assert!(k < 3 || step.phase == Phase::Tracking, "{k}: {}", step.reason);

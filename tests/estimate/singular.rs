@@ -2,7 +2,7 @@
 
 use super::*;
 use presight_localize::estimate::{Estimate, Freedom};
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 
 /// The standard deviation of the estimate along an axis.
 fn sigma(answer: &Estimate, axis: usize) -> f64 {
@@ -26,7 +26,7 @@ fn floor_only() {
     let frame = sense(&world, &camera(0.01), &truth, &mut Random(1));
     let off = moved(&truth, &[0.15, -0.1, 0.05, 0.02, 0.03, 0.1]);
     let answer = estimator(EstimateOptions::default())
-        .estimate(&world, &[&frame], &PoseEstimate::of_sigmas(off, 0.2, 0.1))
+        .estimate(&world, &[&frame], &PoseEstimate::of_sigmas(RobotPose::new(off), 0.2, 0.1))
         .unwrap();
     assert_eq!(names(&answer).len(), 3, "{:?}", answer.weak);
     assert!(names(&answer).iter().all(|n| n.split('+').all(|a| ["x", "y", "yaw"].contains(&a))), "{:?}", answer.weak);
@@ -45,7 +45,7 @@ fn a_frame_that_no_pose_explains_is_given_up() {
     let noisy = sense(&world, &camera(0.05), &truth, &mut Random(8));
     let frame = Frame::new(0.0, camera(0.005), noisy.measurement().clone()).unwrap();
     let answer = estimator(EstimateOptions::default())
-        .estimate(&world, &[&frame], &PoseEstimate::of_sigmas(truth, 0.03, 0.01))
+        .estimate(&world, &[&frame], &PoseEstimate::of_sigmas(RobotPose::new(truth), 0.03, 0.01))
         .unwrap();
     assert!(!answer.is_determined() && answer.predictions <= 12, "{:?}", answer.state);
 }
@@ -64,7 +64,9 @@ fn corridor() {
     let frame = sense(&world, &sensor, &truth, &mut Random(2));
     let options = EstimateOptions::default().with_freedom(Freedom::Planar);
     let off = moved(&truth, &[0.25, 0.05, 0.0, 0.0, 0.0, 0.03]);
-    let answer = estimator(options).estimate(&world, &[&frame], &PoseEstimate::of_sigmas(off, 0.3, 0.05)).unwrap();
+    let answer = estimator(options)
+        .estimate(&world, &[&frame], &PoseEstimate::of_sigmas(RobotPose::new(off), 0.3, 0.05))
+        .unwrap();
     assert_eq!(names(&answer), ["x"], "{:?}", answer.weak);
     assert!(sigma(&answer, 0) > 0.27 && sigma(&answer, 1) < 0.01);
     assert!((answer.pose.world_from_robot.translation.y - 0.2).abs() < 0.01);
@@ -74,7 +76,9 @@ fn corridor() {
     add_box(&mut environment, "corridor", Vec3::new(-300.0, -1.0, 0.0), Vec3::new(6.0, 1.0, 2.5));
     let world = World::new(environment);
     let frame = sense(&world, &sensor, &truth, &mut Random(2));
-    let answer = estimator(options).estimate(&world, &[&frame], &PoseEstimate::of_sigmas(off, 0.3, 0.05)).unwrap();
+    let answer = estimator(options)
+        .estimate(&world, &[&frame], &PoseEstimate::of_sigmas(RobotPose::new(off), 0.3, 0.05))
+        .unwrap();
     assert!(answer.weak.is_empty() && answer.pose.world_from_robot.translation.x.abs() < 0.02, "{answer:?}");
 }
 
@@ -87,7 +91,7 @@ fn wrong_map() {
     environment.add_material(Material::named("m")).unwrap();
     add_box(&mut environment, "hall", Vec3::new(-2.0, -1.0, 0.0), Vec3::new(8.5, 6.3, 4.0));
     add_box(&mut environment, "press", Vec3::new(3.0, 3.0, 0.0), Vec3::new(4.5, 4.0, 2.0));
-    let prior = PoseEstimate::of_sigmas(truth, 0.12, 0.1);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(truth), 0.12, 0.1);
     let mut found = estimator(EstimateOptions::default());
     let wrong = found.estimate(&World::new(environment), &[&frame], &prior).unwrap();
     assert!(!wrong.is_determined(), "{:.2} explained", wrong.explained);
@@ -100,7 +104,7 @@ fn a_blind_sensor_keeps_the_prior() {
     let sensor = camera(0.01);
     let world = room(Vec3::ZERO);
     let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.4, 1.4), 0.0, 0.25, -0.2);
-    let prior = PoseEstimate::of_sigmas(pose, 0.1, 0.05);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(pose), 0.1, 0.05);
     for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0] {
         let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(vec![value; 80 * 60])).unwrap();
         let answer = estimator(EstimateOptions::default()).estimate(&world, &[&frame], &prior).unwrap();
@@ -133,7 +137,8 @@ fn a_repeating_corridor_has_two_places() {
     let sensor = Sensor::new(spec).unwrap();
     let truth = Pose::from_xyz_rpy(DVec3::new(0.6, 0.1, 1.0), 0.0, 0.0, 0.05);
     let options = EstimateOptions::default().with_freedom(Freedom::Planar);
-    let mut prior = PoseEstimate::of_sigmas(moved(&truth, &[0.1, 0.02, 0.0, 0.0, 0.0, 0.01]), 0.5, 0.02);
+    let mut prior =
+        PoseEstimate::of_sigmas(RobotPose::new(moved(&truth, &[0.1, 0.02, 0.0, 0.0, 0.0, 0.01])), 0.5, 0.02);
     prior.covariance[1][1] = 0.01;
     let answer = |crate_too: bool| {
         let world = corridor(crate_too);

@@ -2,7 +2,7 @@
 
 use super::*;
 use presight_localize::estimate::Estimate;
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 use presight_read::gltf::import;
 use presight_read::log::{Frames, Observation};
 
@@ -36,11 +36,11 @@ fn scans_are_found_in_the_surface_of_the_first() {
     // Reached: 1.0 cm, 0.20 deg and 0.102 m (0.09 is the aim); 8.5 cm, 0.35 deg and 0.17 m.
     for (k, most_metres, most_degrees, most_residual) in [(1, 0.04, 0.25, 0.105), (2, 0.12, 0.5, 0.20)] {
         let Observation { frame, reference } = &scans[k];
-        let reference = reference.unwrap();
+        let reference = reference.unwrap().world_from_robot();
         let mut starts = vec![Pose::IDENTITY];
         starts.extend((0..draws).map(|_| off_by(&reference, 1.0, 15.0, &mut random)));
         for (i, start) in starts.iter().enumerate() {
-            let prior = PoseEstimate::of_sigmas(*start, 0.6, 0.15);
+            let prior = PoseEstimate::of_sigmas(RobotPose::new(*start), 0.6, 0.15);
             let found = estimator(EstimateOptions::scan()).estimate(&map, &[frame], &prior).unwrap();
             let ((m, d), residual) = (apart(&found.pose.world_from_robot, &reference), residual(&found));
             eprintln!(

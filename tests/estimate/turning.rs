@@ -4,6 +4,7 @@ use super::changed::hall;
 use super::*;
 use presight_localize::estimate::nees;
 use presight_localize::localize::Phase;
+use presight_model::geometry::RobotPose;
 use presight_testkit::caster::Caster;
 use presight_testkit::oracle::Oracle;
 use presight_testkit::way::{Driving, Way};
@@ -22,7 +23,7 @@ fn a_scan_that_turns_is_as_unsure_as_its_motion() {
     let mut caster = Caster::new(world.environment(), sensor.clone(), 1);
     caster.turn_s = 0.1;
     let options = EstimateOptions::of(&sensor).with_learns_sigma(true);
-    let prior = PoseEstimate::of_sigmas(way.at(0.0), 0.02, 0.01);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(way.at(0.0)), 0.02, 0.01);
     let mut robot = Localizer::new(estimator(options), prior, LocalizeOptions::default());
     let (mut sum, mut squares) = (0.0, [0.0; 2]);
     for k in 0..60 {
@@ -48,7 +49,7 @@ fn a_given_start_is_tracked_from_its_first_frame() {
     let at = |x: f64| Pose::from_xyz_rpy(DVec3::new(x, 2.0, 1.2), 0.0, 0.1, 0.3);
     let frame = sense(&world, &sensor, &at(1.0), &mut Random(3));
     for (given, phase) in [(1.0, Phase::Tracking), (3.0, Phase::Candidates)] {
-        let prior = PoseEstimate::of_sigmas(at(given), 0.02, 0.01);
+        let prior = PoseEstimate::of_sigmas(RobotPose::new(at(given)), 0.02, 0.01);
         let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
         let step = robot.step(&world, &frame).unwrap();
         let is_as_expected = if phase == Phase::Tracking { step.phase == phase } else { step.phase != Phase::Tracking };
@@ -63,7 +64,7 @@ fn a_lost_camera_spreads_its_search_over_frames() {
     let (map, hall, sensor) = (room(Vec3::ZERO), hall(), camera(0.01));
     let options = LocalizeOptions::default().with_search_starts(8);
     let at = |k: u32| Pose::from_xyz_rpy(DVec3::new(1.0 + 0.03 * f64::from(k), 2.0, 1.2), 0.0, 0.1, 0.3);
-    let prior = PoseEstimate::of_sigmas(at(0), 0.02, 0.01);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(at(0)), 0.02, 0.01);
     let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, options);
     let mut said = Vec::new();
     for k in 0..12u32 {

@@ -2,7 +2,7 @@
 
 use super::*;
 use presight_localize::verdict::{ExpectedImage, Surfaces, Verdict, Verdicts, of_frame};
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 
 const POSE_SIGMA: f64 = 1e-3;
 
@@ -12,9 +12,11 @@ fn verdicts(real: &World, noise: f64) -> (Verdicts, ExpectedImage) {
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 1.8, 1.4), 0.0, 0.3, -0.2);
     let frame = sense(real, &sensor, &pose, &mut Random(7));
     let model = room(Vec3::ZERO);
-    let expected = ExpectedImage::predict(&mut predictor(), &model, &mut Surfaces::default(), &sensor, &pose).unwrap();
+    let expected =
+        ExpectedImage::predict(&mut predictor(), &model, &mut Surfaces::default(), &sensor, &RobotPose::new(pose))
+            .unwrap();
     let stated = Frame::new(0.0, camera(noise), frame.measurement().clone()).unwrap();
-    let known = PoseEstimate::of_sigmas(pose, POSE_SIGMA, POSE_SIGMA);
+    let known = PoseEstimate::of_sigmas(RobotPose::new(pose), POSE_SIGMA, POSE_SIGMA);
     (of_frame(&mut predictor(), &model, &stated, &known).unwrap(), expected)
 }
 
@@ -64,7 +66,7 @@ fn beams_pass_through_missing_objects() {
 fn values_without_a_range_have_their_verdicts() {
     let sensor = camera(0.005);
     let pose = Pose::from_xyz_rpy(DVec3::new(0.9, 1.8, 1.4), 0.0, 0.3, -0.2);
-    let (world, known) = (room(Vec3::ZERO), PoseEstimate::exact(pose));
+    let (world, known) = (room(Vec3::ZERO), PoseEstimate::exact(RobotPose::new(pose)));
     for (value, verdict) in
         [(f32::NAN, Verdict::NoReturn), (f32::INFINITY, Verdict::Farther), (f32::NEG_INFINITY, Verdict::Nearer)]
     {
@@ -93,7 +95,7 @@ fn the_mount_leads_from_the_robot_to_the_sensor() {
     let measured = (0..361).map(|i| range(1.4, i) as f32).collect();
     let frame = Frame::new(0.0, scanner.clone(), Measurement::Range(measured)).unwrap();
     let judged = |x: f64, y: f64| {
-        let robot = PoseEstimate::exact(Pose::from_xyz_rpy(DVec3::new(x, y, 0.0), 0.0, 0.0, 0.0));
+        let robot = PoseEstimate::exact(RobotPose::from_xyz_rpy(DVec3::new(x, y, 0.0), 0.0, 0.0, 0.0));
         of_frame(&mut predictor(), &world, &frame, &robot).unwrap()
     };
     let right = judged(1.0, 2.0);

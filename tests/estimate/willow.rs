@@ -5,7 +5,7 @@
 use super::*;
 use glam::DVec2;
 use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Step};
-use presight_model::geometry::PoseEstimate;
+use presight_model::geometry::{PoseEstimate, RobotPose};
 use presight_model::measured::{Motion, OdometryNoise};
 use presight_read::gltf::import;
 use presight_read::log;
@@ -161,7 +161,7 @@ fn drives_through_an_outdated_model_are_tracked() {
     let (mut turned, mut far) = (Vec::new(), 0);
     for seed in 1..=count {
         let frames = drive(&map, &sensor, seed);
-        let mut robot = robot(PoseEstimate::of_sigmas(frames[0].1, 0.2, 0.05));
+        let mut robot = robot(PoseEstimate::of_sigmas(RobotPose::new(frames[0].1), 0.2, 0.05));
         let mut worst: f64 = 0.0;
         for (frame, truth) in &frames {
             let step: Step = robot.step(&model, frame).unwrap();
@@ -197,10 +197,11 @@ fn single_scans_in_an_outdated_model() {
     let mut random = Random(5);
     let (mut metres, mut degrees) = (Vec::new(), Vec::new());
     for log::Observation { frame, reference } in log_of_scans().map(Result::unwrap) {
-        let truth = reference.unwrap();
+        let truth = reference.unwrap().world_from_robot();
         let mut off = |sigma: f64| sigma * normal(&mut random);
         let start = moved(&truth, &[off(0.3), off(0.3), 0.0, 0.0, 0.0, off(3f64.to_radians())]);
-        let step = robot(PoseEstimate::of_sigmas(start, 0.3, 3f64.to_radians())).step(&model, &frame).unwrap();
+        let step =
+            robot(PoseEstimate::of_sigmas(RobotPose::new(start), 0.3, 3f64.to_radians())).step(&model, &frame).unwrap();
         let (m, d) = apart(&step.pose.world_from_robot, &truth);
         metres.push(m);
         degrees.push(d);
@@ -231,7 +232,7 @@ fn scans_from_elsewhere_are_never_tracked() {
         robot.step(&model, &first.frame).unwrap();
         for log::Observation { frame, reference } in scans {
             let step = robot.step(&model, &frame).unwrap();
-            let (metres, _) = apart(&step.pose.world_from_robot, &reference.unwrap());
+            let (metres, _) = apart(&step.pose.world_from_robot, &reference.unwrap().world_from_robot());
             frames += 1;
             fitting += usize::from(metres > 0.75 && step.phase == Phase::Candidates);
             assert!(step.phase != Phase::Tracking || metres < 0.75, "{start}: {metres:.1} m off: {}", step.reason);

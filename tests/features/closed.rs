@@ -5,7 +5,7 @@ use presight_testkit::{Random, scenes};
 use glam::{DMat3, DVec3};
 use presight_features::{BoxOptions, FeatureOptions, FeaturePrediction, PlacedFeature};
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Angles, Geometry, Sensor};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -36,7 +36,7 @@ fn seen(world: &World, sensor: &Sensor, pose: &Pose, placed: &[PlacedFeature]) -
         .with_features(FeatureOptions::default().with_placed(placed.to_vec()))
         .with_regions(BoxOptions::default().with_sensor_sigmas([0.02, 0.02, 0.02, 0.0, 0.0, 0.02]));
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(2)).unwrap();
-    let mut prediction = predictor.predict(world, sensor, pose, &request).unwrap();
+    let mut prediction = predictor.predict(world, sensor, &SensorPose::new(*pose), &request).unwrap();
     let mut features = prediction.features.take().unwrap();
     features.feature_id = prediction.images.feature_id;
     features

@@ -10,7 +10,7 @@ use presight_features::{
 };
 use presight_model::environment::NewObject;
 use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
@@ -114,7 +114,7 @@ fn the_selection_works_on_a_crowd() {
     let options = FeatureOptions::default().with_placed(crowd).with_max_features(2);
     let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
-    let seen = predictor.predict(&world, &scenes::camera(200, 150), &Pose::IDENTITY, &request).unwrap();
+    let seen = predictor.predict(&world, &scenes::camera(200, 150), &SensorPose::IDENTITY, &request).unwrap();
     let ids: Vec<u32> = seen.features.unwrap().features.iter().map(|f| f.feature.id).collect();
     // The only feature elsewhere, and the first of all others.
     assert_eq!(ids, [1, 1235]);

@@ -15,7 +15,7 @@ use presight_features::{
 };
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::gpu::DeviceOptions;
@@ -113,7 +113,7 @@ fn on_device(
     let outputs = Outputs::of(&[Output::PolygonId, Output::FeatureId]);
     let request = Request::of(outputs)
         .with_features(FeatureOptions::default().with_hidden(Hidden::Full).with_placed(placed.to_vec()));
-    let mut seen = predictor.predict(world, sensor, pose, &request).unwrap();
+    let mut seen = predictor.predict(world, sensor, &SensorPose::new(*pose), &request).unwrap();
     let mut found = seen.features.unwrap();
     found.spell_out(world.environment(), placed);
     found.feature_id = std::mem::take(&mut seen.images.feature_id);
@@ -205,14 +205,14 @@ fn steady_state_allocates_nothing_and_no_features_cost_nothing() {
     let sensors = [scenes::camera(200, 150), scenes::scanner(180, 31)];
     let pose = |i: usize| Pose::from_xyz_rpy(DVec3::new(0.1 * i as f64, 0.0, 1.4), 0.0, 0.0, i as f64);
     let plain = |predictor: &mut Predictor| {
-        let seen = predictor.predict(&world, &sensors[0], &pose(0), &request()).unwrap();
+        let seen = predictor.predict(&world, &sensors[0], &SensorPose::new(pose(0)), &request()).unwrap();
         assert!(!seen.stats.stages_ms.iter().any(|(stage, _)| stage.name().contains("feature")));
     };
     plain(&mut predictor);
     let before = testing::allocations(predictor.engine()).unwrap();
     plain(&mut predictor);
     let nothing = request().with_features(FeatureOptions::default().with_placed(Vec::new()));
-    let none = predictor.predict(&world, &sensors[0], &pose(0), &nothing).unwrap().features.unwrap();
+    let none = predictor.predict(&world, &sensors[0], &SensorPose::new(pose(0)), &nothing).unwrap().features.unwrap();
     assert!(none.features.is_empty() && none.stats == FeatureStats::default());
     assert_eq!(testing::allocations(predictor.engine()).unwrap(), before, "without features");
     let round = |predictor: &mut Predictor| {
@@ -239,7 +239,7 @@ fn stages_that_stay_on_the_cpu_are_reported() {
     let pose = Pose::IDENTITY;
     let request =
         request().with_features(FeatureOptions::default().with_placed(placed)).with_regions(BoxOptions::default());
-    let stats = predictor.predict(&world, &sensor, &pose, &request).unwrap().stats;
+    let stats = predictor.predict(&world, &sensor, &SensorPose::new(pose), &request).unwrap().stats;
     let software = stats.left_out.iter().any(|l| l.what == StageName::ResolveOnDevice.into());
     for stage in ["features on the device", "regions of interest on the device"] {
         let said =

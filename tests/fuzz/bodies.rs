@@ -284,7 +284,10 @@ pub fn log(bytes: &[u8]) -> bool {
             frame.check(&spec).expect("a frame fits its sensor");
             assert!(frame.time > time, "{} after {time}", frame.time);
             time = frame.time;
-            [frame.odometry, frame.reference].iter().flatten().for_each(check_pose);
+            [frame.odometry, frame.reference.map(|robot| robot.world_from_robot())]
+                .iter()
+                .flatten()
+                .for_each(check_pose);
             frames.push(frame);
         }
         let lines: String =
@@ -309,7 +312,7 @@ pub fn exr(bytes: &[u8]) -> bool {
             let len = images.samples(output).map(|samples| samples.len());
             assert_eq!(len, Some(images.pixels()), "{}", output.name());
         }
-        file.attributes.world_from_sensor.iter().for_each(check_pose);
+        file.attributes.pose.iter().for_each(|pose| check_pose(&pose.world_from_sensor()));
         exr::write(path, images, outputs, &file.attributes).expect("an accepted input can be written");
         let again = exr::read(path).expect("a written file can be read");
         let report = presight_render::verify::compare_exactly(images, &again.images).expect("images of one shape");

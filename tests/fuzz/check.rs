@@ -6,7 +6,7 @@ use presight_features::{BoxOptions, BoxQuery, FeatureSettings, add_boxes, place,
 use presight_files::prediction_json;
 use presight_model::environment::FeatureLayer;
 use presight_model::environment::{Environment, NewObject};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_read::sensor_toml;
@@ -145,7 +145,7 @@ pub fn check_layer(layer: &FeatureLayer) -> bool {
             |b: &[f64; 4]| b[0] >= -0.5 && b[1] >= -0.5 && b[2] <= 32.5 && b[3] <= 24.5 && b[0] < b[2] && b[1] < b[3];
         assert!(f.roi.as_ref().is_none_or(inside), "{f:?}");
     }
-    let header = prediction_json::Header::new(&sensor, pose);
+    let header = prediction_json::Header::new(&sensor, SensorPose::new(pose));
     prediction_json::to_string(&header, &seen, world.environment(), None).expect("a prediction is JSON");
     true
 }

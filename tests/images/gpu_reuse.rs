@@ -9,7 +9,7 @@ use common::skip::no_adapter;
 use common::{data, plan, scenes};
 use glam::DVec3;
 use presight_model::change::Change;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::batch::BatchRequest;
@@ -223,28 +223,30 @@ fn only_predictions_that_request_it_reuse_a_frame() {
     let (pose, world) = (hall_poses(&hall, 5, 1)[0], World::new(hall));
     let sensor = preset("vlp-16").expect("a preset");
     let request = Request::default();
-    let mut seen = predictor.predict(&world, &sensor, &pose, &request).expect("it predicts");
+    let mut seen = predictor.predict(&world, &sensor, &SensorPose::new(pose), &request).expect("it predicts");
     assert!(why_anew(&seen.stats).is_some());
-    predictor.predict_again(&world, &pose, &mut seen).expect("it predicts");
+    predictor.predict_again(&world, &SensorPose::new(pose), &mut seen).expect("it predicts");
     assert_eq!((why_anew(&seen.stats), brought(&seen.stats) > 0), (None, true));
     // A batch of neighbours, a study, and a deadline.
     let images = BatchRequest { images: Some(ImageRequest::default()), statistics: true, ..BatchRequest::default() };
-    let batch = predictor.batch(&world, &sensor, vec![pose; 3], &images).expect("a valid batch");
+    let batch = predictor.batch(&world, &sensor, vec![SensorPose::new(pose); 3], &images).expect("a valid batch");
     for item in batch {
         let stats = item.expect("it predicts").stats.expect("they were drawn");
         assert_eq!((why_anew(&stats), brought(&stats)), (Some("not requested"), 0));
     }
     let mut images = Images::default();
-    let stats = predictor.predict_images(&world, &sensor, &pose, Outputs::default(), &mut images).expect("it predicts");
+    let stats = predictor
+        .predict_images(&world, &sensor, &SensorPose::new(pose), Outputs::default(), &mut images)
+        .expect("it predicts");
     assert_eq!(why_anew(&stats), Some("not requested"));
     let in_time = request.clone().with_deadline(Duration::from_secs(5));
-    if let Ok(seen) = predictor.predict(&world, &sensor, &pose, &in_time) {
+    if let Ok(seen) = predictor.predict(&world, &sensor, &SensorPose::new(pose), &in_time) {
         assert_eq!(brought(&seen.stats), 0);
         assert!(why_anew(&seen.stats).is_some());
     }
     let mut plain = self::predictor(false).expect("an adapter");
     for _ in 0..2 {
-        let seen = plain.predict(&world, &sensor, &pose, &request).expect("it predicts");
+        let seen = plain.predict(&world, &sensor, &SensorPose::new(pose), &request).expect("it predicts");
         assert_eq!((why_anew(&seen.stats), brought(&seen.stats)), (Some("not requested"), 0));
     }
 }

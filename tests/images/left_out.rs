@@ -11,7 +11,7 @@ use glam::{DMat3, DVec3, Vec3};
 use presight_features::{BoxOptions, FeatureOptions, Hidden, PlacedFeature};
 use presight_model::environment::{Appearance, Existence, Feature, FeatureShape, Properties};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Camera, Distortion, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -100,7 +100,7 @@ impl Case<'_> {
         if self.features == Features::WithBoxes {
             request = request.with_regions(BoxOptions::default());
         }
-        let prediction = predictor.predict(world, sensor, &pose, &request).unwrap();
+        let prediction = predictor.predict(world, sensor, &SensorPose::new(pose), &request).unwrap();
         let (mut images, stats) = (prediction.images, prediction.stats);
         let polygons = count(&stats, "polygons selected");
         Did { stats, room: room(&mut images), pixels: images.pixels(), polygons }
@@ -391,7 +391,7 @@ fn geometry_of_one_wave_is_not_sifted() {
     for (boxes, waves) in [(12, false), (1500, true)] {
         let world = scenes::room_world(7, boxes);
         for sensor in [scenes::scanner(90, 16), scenes::all_round(36, 18)] {
-            let stats = cpu().predict(&world, &sensor, &pose(), &Request::default()).unwrap().stats;
+            let stats = cpu().predict(&world, &sensor, &SensorPose::new(pose()), &Request::default()).unwrap().stats;
             let row = stats.stages().into_iter().find(|r| r.name == "hidden").unwrap();
             assert_eq!((row.ran, row.ms.is_some(), row.why.is_empty()), (waves, waves, waves));
         }

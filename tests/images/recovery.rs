@@ -9,7 +9,7 @@ use common::scenes;
 use common::skip::no_adapter;
 use glam::DVec3;
 use presight_model::error::ErrorKind;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::batch::BatchRequest;
@@ -44,7 +44,7 @@ impl Task {
     }
 
     fn predict(&self, predictor: &mut Predictor) -> presight_model::error::Result<Prediction> {
-        predictor.predict(&self.world, &self.sensor, &self.pose, &self.request)
+        predictor.predict(&self.world, &self.sensor, &SensorPose::new(self.pose), &self.request)
     }
 
     /// Compares images with the reference.
@@ -85,7 +85,7 @@ fn rows_are_left_to_the_cpu_unless_a_gpu_is_named() {
     for (backend, engine) in [(Backend::Auto, "cpu"), (Backend::Gpu, "gpu")] {
         let mut predictor = on(backend).0;
         for (sensor, engine) in [(&row, engine), (&scenes::camera(32, 24), "gpu"), (&row, engine)] {
-            let prediction = predictor.predict(&world, sensor, &pose, &Request::default()).unwrap();
+            let prediction = predictor.predict(&world, sensor, &SensorPose::new(pose), &Request::default()).unwrap();
             assert_eq!(prediction.stats.engine, engine, "{backend:?}, {}", sensor.spec().name);
         }
     }
@@ -256,7 +256,8 @@ fn a_gpu_lost_during_a_batch_loses_no_pose() {
     let images = Some((&task.request).into());
     let request = BatchRequest { images, chunk: Some(3), statistics: true, ..BatchRequest::default() };
     let (mut whole, _) = on(Backend::Gpu);
-    let mut single = |i| bits(&whole.predict(&task.world, &task.sensor, &pose(i), &task.request).unwrap().images);
+    let mut single =
+        |i| bits(&whole.predict(&task.world, &task.sensor, &SensorPose::new(pose(i)), &task.request).unwrap().images);
     let singles: Vec<_> = (0..10).map(&mut single).collect();
     // Checks that the comparison can fail.
     assert!(singles[0] != singles[1]);
@@ -269,7 +270,8 @@ fn a_gpu_lost_during_a_batch_loses_no_pose() {
             }
             pose(i)
         });
-        let batch = predictor.batch(&task.world, &task.sensor, lossy, &request).unwrap();
+        let batch =
+            predictor.batch(&task.world, &task.sensor, lossy.into_iter().map(SensorPose::new), &request).unwrap();
         let mut items: Vec<_> = batch.collect();
         if backend == Backend::Gpu && gone {
             // The second chunk begins with pose 3.

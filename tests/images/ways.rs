@@ -14,7 +14,7 @@ use presight_model::change::Change;
 use presight_model::environment::{
     Appearance, Environment, Mark, MarkKind, Material, Mesh, NewObject, Polygon, PolygonOrder,
 };
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -460,7 +460,7 @@ fn who_does_not_need_trees_does_not_pay_for_them() {
     let pose = data::poses(&world, 1, 3)[0] * Pose::from_xyz_rpy(DVec3::ZERO, 0.05, 0.0, 0.0);
     let mut see = |name: &str| {
         let sensor = presight_read::preset(name).unwrap();
-        predictor.predict(&world, &sensor, &pose, &Request::default()).unwrap().stats.way
+        predictor.predict(&world, &sensor, &SensorPose::new(pose), &Request::default()).unwrap().stats.way
     };
     (0..20).for_each(|_| assert_eq!(see("video-camera"), Some(Way::Raster)));
     assert_eq!(trees(), 0);
@@ -476,7 +476,7 @@ fn images_turn_to_tiles_where_many_polygons_are_left() {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1).with_way(Way::Counts)).unwrap();
     let mut seen = Vec::new();
     for _ in 0..60 {
-        let drawn = predictor.predict(&hall, &sensor, &pose, &Request::default()).unwrap();
+        let drawn = predictor.predict(&hall, &sensor, &SensorPose::new(pose), &Request::default()).unwrap();
         let left = drawn.stats.count_of(CountName::PolygonsLeft).expect("they were counted");
         let most = Way::Counts.choose(&hall, &sensor).max_left;
         assert!(left > most, "{left} {most}");
@@ -488,7 +488,7 @@ fn images_turn_to_tiles_where_many_polygons_are_left() {
     assert_eq!((last.0, last.1), (Some(Way::Tiles), Some("too many polygons may show after the first wave")));
     assert!(seen.iter().all(|frame| frame.2 == first.2));
     let room = common::scenes::room_world(4, 400);
-    let stats = predictor.predict(&room, &sensor, &Pose::IDENTITY, &Request::default()).unwrap().stats;
+    let stats = predictor.predict(&room, &sensor, &SensorPose::IDENTITY, &Request::default()).unwrap().stats;
     assert_eq!(stats.way, Some(Way::Raster));
 }
 
@@ -503,7 +503,7 @@ fn the_way_is_chosen_by_counts() {
     let predictor = |way| Predictor::new(Options::new(Backend::Cpu).with_threads(1).with_way(way)).unwrap();
     let (mut auto, mut ways) = (predictor(Way::Auto), Vec::new());
     let way_of = |auto: &mut Predictor, sensor: &Sensor, request: &Request| {
-        let stats = auto.predict(&world, sensor, &pose, request).unwrap().stats;
+        let stats = auto.predict(&world, sensor, &SensorPose::new(pose), request).unwrap().stats;
         (stats.way, stats.left_out.iter().any(|row| row.what == Part::Stage(StageName::RaysByTiles)))
     };
     let (raster, tiles) = ((Some(Way::Raster), true), (Some(Way::Tiles), false));
@@ -520,5 +520,8 @@ fn the_way_is_chosen_by_counts() {
     let fresh = World::new(hall::open_hall(4, 20_000));
     let mut ready = predictor(Way::Auto);
     ready.make_trees(&fresh).unwrap();
-    assert_eq!(ready.predict(&fresh, &laser, &pose, &Request::default()).unwrap().stats.way, Some(Way::Tiles));
+    assert_eq!(
+        ready.predict(&fresh, &laser, &SensorPose::new(pose), &Request::default()).unwrap().stats.way,
+        Some(Way::Tiles)
+    );
 }

@@ -20,7 +20,7 @@ fn store(folder: &tempfile::TempDir) -> PathBuf {
 }
 
 fn delete(k: usize) -> Edit {
-    Edit::Change(Change::DeleteObject { name: format!("crate {k}") })
+    Edit::from(Change::DeleteObject { name: format!("crate {k}") })
 }
 
 /// A group of two deletions.

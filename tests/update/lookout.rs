@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use presight_model::environment::Environment;
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_read::sensor_toml;
@@ -56,12 +56,22 @@ fn a_crate_behind_a_pillar_is_looked_at_from_aside() {
         assert_eq!(is_in_sight(&oracle, pose.translation + DVec3::Z), k >= 10, "{x} {y}");
         let frame = caster.frame(&|_| pose, k as f64, None);
         learner
-            .observe_at(&world, &[&frame], &PoseEstimate::new(pose, PoseCovariance::from_sigmas([1e-3; 6])))
+            .observe_at(
+                &world,
+                &[&frame],
+                &PoseEstimate::new(RobotPose::new(pose), PoseCovariance::from_sigmas([1e-3; 6])),
+            )
             .unwrap();
     }
     let again = Pose::from_xyz_rpy(DVec3::new(3.55, 1.55, 0.0), 0.0, 0.0, 0.0);
     let frame = caster.frame(&|_| again, 12.0, None);
-    learner.observe_at(&world, &[&frame], &PoseEstimate::new(again, PoseCovariance::from_sigmas([1e-3; 6]))).unwrap();
+    learner
+        .observe_at(
+            &world,
+            &[&frame],
+            &PoseEstimate::new(RobotPose::new(again), PoseCovariance::from_sigmas([1e-3; 6])),
+        )
+        .unwrap();
     learner.end_drive();
     let findings = learner.findings(&world);
     let doubt = findings.doubts.iter().find(|doubt| doubt.object == "crate").expect("two views do not decide");
@@ -76,7 +86,7 @@ fn a_crate_behind_a_pillar_is_looked_at_from_aside() {
     let policy = learner.plan_views(&world, &[&gone]).remove(0).expect("a pose to look from");
     let look = doubt.view.clone().expect("a pose to look from");
     assert_eq!(look, policy);
-    let p = look.world_from_sensor.translation;
+    let p = look.pose.world_from_sensor().translation;
     assert!(is_in_sight(&oracle, p) && (p.z - 1.0).abs() < 1e-3 && look.sensor == "lidar", "{look:?}");
     let free = |p: DVec3| p.x < 3.7 || p.x > 4.0 && p.x < 4.5 && !(2.1..3.9).contains(&p.y) || p.y < 2.1 || p.y > 3.9;
     assert!(p.min_element() >= 0.3 && p.x <= 4.5 && free(p), "{p}");
@@ -93,7 +103,13 @@ fn a_crate_behind_a_pillar_is_looked_at_from_aside() {
     let mut caster = Caster::new(shut.environment(), frame.sensor().clone(), 1);
     for k in 0..2 {
         let frame = caster.frame(&|_| again, f64::from(k), None);
-        blind.observe_at(&shut, &[&frame], &PoseEstimate::new(again, PoseCovariance::from_sigmas([1e-3; 6]))).unwrap();
+        blind
+            .observe_at(
+                &shut,
+                &[&frame],
+                &PoseEstimate::new(RobotPose::new(again), PoseCovariance::from_sigmas([1e-3; 6])),
+            )
+            .unwrap();
     }
     blind.end_drive();
     assert_eq!(blind.plan_views(&shut, &[&gone]), [None]);

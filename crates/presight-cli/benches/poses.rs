@@ -8,7 +8,7 @@
 
 use presight::files::{self, NpyValues, import_gltf};
 use presight::predict::free_poses;
-use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, World};
+use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, SensorPose, World};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -74,8 +74,8 @@ fn by_library(scene: &Path, poses: &[Pose]) -> f64 {
         let sensor = presight::preset("vlp-16")?;
         let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
         let request = Request::of(Outputs::of(&[Output::Range]));
-        let mut prediction = predictor.predict(&world, &sensor, &poses[0], &request)?;
-        poses[1..].iter().try_for_each(|pose| predictor.predict_again(&world, pose, &mut prediction))
+        let mut prediction = predictor.predict(&world, &sensor, &SensorPose::new(poses[0]), &request)?;
+        poses[1..].iter().try_for_each(|pose| predictor.predict_again(&world, &SensorPose::new(*pose), &mut prediction))
     };
     predict().unwrap_or_else(|e| panic!("{e}"));
     start.elapsed().as_secs_f64()

@@ -13,8 +13,8 @@ use presight::predict::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikeli
 use presight::sensor::ExternalPose;
 use presight::tools::{self, write_atomically};
 use presight::{
-    Backend, Error, IdScheme, ImageRequest, Output, Outputs, Pose, Predictor, Raster, Result, Scene, Sensor, Threads,
-    blake3_of,
+    Backend, Error, IdScheme, ImageRequest, Output, Outputs, Pose, Predictor, Raster, Result, Scene, Sensor,
+    SensorPose, Threads, blake3_of,
 };
 use rayon::prelude::*;
 use std::fmt::Write as _;
@@ -135,7 +135,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         Ok(pose)
     })?;
     // All shards must use the same height.
-    request.height = Some(poses.first.translation.z);
+    request.height = Some(poses.first.world_from_sensor().translation.z);
     let items = args.items(poses.count);
     args.check_inputs(&scene.files)?;
     folder::ready(&args.out)?;
@@ -375,12 +375,12 @@ fn read_sensed(frame_name: &str, sensor: &Sensor, cell: PoseCell) -> Result<Rang
 struct PoseFile {
     count: usize,
     /// The sensor's first pose.
-    first: Pose,
+    first: SensorPose,
     blake3: String,
 }
 
 impl PoseFile {
-    fn read(path: &Path, of_sensor: impl Fn(Pose) -> Result<Pose>) -> Result<Self> {
+    fn read(path: &Path, of_sensor: impl Fn(Pose) -> Result<SensorPose>) -> Result<Self> {
         let mut hasher = blake3::Hasher::new();
         let (mut count, mut first) = (0, None);
         for stamped in files::stream_tum(path)? {
@@ -416,7 +416,7 @@ impl<'a> Job<'a> {
         let seen_by = request.headings.as_ref().map_or(&sensor, Headings::panorama);
         let attributes = files::ExrAttributes {
             sensor: Some(files::sensor_to_toml(seen_by.spec())),
-            world_from_sensor: None,
+            pose: None,
             scene: Some(args.scene.display().to_string()),
             scene_blake3: Some(blake3_of(&args.scene)?),
             scene_content: Some(scene.world.environment().content_hash().to_string()),
@@ -498,30 +498,30 @@ impl<'a> Job<'a> {
 
     fn write_image(&self, index: usize, item: &BatchItem) -> Result<()> {
         let raster = item.stats.as_ref().and_then(|stats| stats.raster);
-        let world_from_sensor = Some(item.world_from_sensor);
-        let attributes = files::ExrAttributes { world_from_sensor, raster, ..self.attributes.clone() };
+        let attributes = files::ExrAttributes { pose: Some(item.pose), raster, ..self.attributes.clone() };
         files::write_exr(&self.args.out.join(image_name(index)), &item.images, Outputs::ALL, &attributes)
     }
 
     /// Appends the table rows of an item to `text`.
     fn tell(&self, text: &mut String, index: usize, time: f64, item: &BatchItem) {
         let image = if self.request.images.is_some() { image_name(index) } else { String::new() };
-        let mut row = |pose: &Pose, heading: &str, weight: &str| {
-            let (p, q) = (pose.translation, pose.rotation);
+        let mut row = |pose: &SensorPose, heading: &str, weight: &str| {
+            let Pose { translation: p, rotation: q } = pose.world_from_sensor();
             let numbers = format!("{},{},{},{},{},{},{}", p.x, p.y, p.z, q.x, q.y, q.z, q.w);
             // Writing into a string cannot fail.
             let _ = writeln!(text, "{index},{time},{numbers},{image},{heading},{weight}");
         };
         match &self.request.headings {
             Some(headings) => {
+                let place = item.pose.world_from_sensor().translation;
                 for (k, weight) in (0..headings.count()).zip(&item.headings) {
-                    let pose = headings.pose(item.world_from_sensor.translation, k);
+                    let pose = headings.pose(place, k);
                     row(&pose, &headings.degrees(k).to_string(), &weight.to_string());
                 }
             }
             None => {
                 let weight = item.log_likelihood.map_or(String::new(), |weight| weight.to_string());
-                row(&item.world_from_sensor, "", &weight);
+                row(&item.pose, "", &weight);
             }
         }
     }

@@ -149,10 +149,7 @@ fn differ(a: &ExrAttributes, b: &ExrAttributes) -> bool {
     let has_content = a.scene_content.is_some() && b.scene_content.is_some();
     let scenes_differ =
         if has_content { a.scene_content != b.scene_content } else { apart(&a.scene_blake3, &b.scene_blake3) };
-    scenes_differ
-        || apart(&a.world_from_sensor, &b.world_from_sensor)
-        || apart(&a.sensor, &b.sensor)
-        || apart(&a.ids, &b.ids)
+    scenes_differ || apart(&a.pose, &b.pose) || apart(&a.sensor, &b.sensor) || apart(&a.ids, &b.ids)
 }
 
 /// The view that the reference was predicted in, and the files of its scene.
@@ -162,7 +159,7 @@ fn view_of(args: &Args, scene: &Path, attributes: &ExrAttributes) -> Result<(Vie
         Error::invalid("is missing", remedy).at(format!("attribute \"presight:{what}\"")).in_file(&args.reference)
     };
     let text = attributes.sensor.as_deref().ok_or_else(|| missing("sensor"))?;
-    let world_from_sensor = attributes.world_from_sensor.ok_or_else(|| missing("world_from_sensor"))?;
+    let pose = attributes.pose.ok_or_else(|| missing("world_from_sensor"))?;
     let in_sensor = |e: Error| e.at("attribute \"presight:sensor\"").in_file(&args.reference);
     let sensor = parse_sensor_toml(text, "sensor", None).and_then(Sensor::new).map_err(in_sensor)?;
     let ids = attributes.ids.unwrap_or_default();
@@ -180,7 +177,7 @@ fn view_of(args: &Args, scene: &Path, attributes: &ExrAttributes) -> Result<(Vie
         let what = format!("is not the scene that {} was predicted from", args.reference.display());
         return Err(Error::invalid(what, format!("give the original {was}, or predict again")).in_file(scene));
     }
-    Ok((View { world, sensor, world_from_sensor, ids, precision: args.precision.into() }, files))
+    Ok((View { world, sensor, pose, ids, precision: args.precision.into() }, files))
 }
 
 fn in_words(report: &Report) -> Vec<String> {

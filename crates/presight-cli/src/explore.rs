@@ -8,7 +8,7 @@ use presight::environment::{Environment, IndexKind};
 use presight::explore::{Exploration, ExploreOptions, Follower, Known, Views};
 use presight::files::{self, ImportOptions, LogFrames, Observation, StampedPose};
 use presight::store::{self, Note, Store};
-use presight::{Error, Pose, Result, Sensor, Threads};
+use presight::{Error, Pose, Result, RobotPose, Sensor, Threads};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -189,7 +189,11 @@ impl Args {
         (known, kind): (&Environment, Known),
         options: &ExploreOptions,
     ) -> Result<Views> {
-        let mut start = if init == "reference" { None } else { Some(parse_pose(init).map_err(|e| e.at("--init"))?) };
+        let mut start = if init == "reference" {
+            None
+        } else {
+            Some(RobotPose::new(parse_pose(init).map_err(|e| e.at("--init"))?))
+        };
         let mut follower: Option<Follower> = None;
         for log in &self.logs {
             for observation in LogFrames::open(log, sensor, &Default::default())? {
@@ -232,7 +236,7 @@ impl Args {
         for observation in frames.by_ref() {
             let Observation { frame, reference } = observation?;
             let pose = match poses {
-                None => reference,
+                None => reference.map(|robot| robot.world_from_robot()),
                 Some(poses) => pose_at(poses, frame.stamp),
             };
             let Some(mut pose) = pose else {
@@ -246,7 +250,7 @@ impl Args {
                 steps.push((earlier.translation.distance(pose.translation), frame.stamp));
             }
             let frame = if self.stride > 1 { frame.thinned(self.stride)? } else { frame };
-            views.push(&frame, pose * frame.sensor().spec().mount)?;
+            views.push(&frame, RobotPose::new(pose).sensor(frame.sensor()))?;
             count += 1;
         }
         if count == 0 {

@@ -8,7 +8,8 @@ use presight::files::{self, PredictionHeader};
 use presight::sensor::ExternalPose;
 use presight::virtual_sensors::VirtualSensor;
 use presight::{
-    Error, InWorld, Output, Outputs, Pose, PoseCovariance, Prediction, Request, Result, Scene, SceneFeatures, Sensor,
+    Error, InWorld, Output, Outputs, PoseCovariance, Prediction, Request, Result, Scene, SceneFeatures, Sensor,
+    SensorPose,
 };
 use std::path::{Path, PathBuf};
 
@@ -217,7 +218,7 @@ impl LayerArgs {
             pose_covariance: shown.boxes.as_ref().map(|boxes| boxes.sensor),
             confidence: shown.boxes.as_ref().map(|boxes| boxes.confidence),
             given_up: prediction.degradation().cloned(),
-            ..PredictionHeader::new(&prediction.sensor, prediction.world_from_sensor)
+            ..PredictionHeader::new(&prediction.sensor, prediction.pose)
         };
         let none = FeaturePrediction::default();
         let seen = prediction.features.as_ref().unwrap_or(&none);
@@ -227,9 +228,9 @@ impl LayerArgs {
 
 impl Layers {
     /// Sets the covariance of the sensor's next pose, along the axes of the world.
-    pub fn move_to(&mut self, pose: &ExternalPose, sensor: &Sensor, world_from_sensor: &Pose, scene: &Scene) {
+    pub fn move_to(&mut self, given: &ExternalPose, sensor: &Sensor, pose: &SensorPose, scene: &Scene) {
         let (covariance, world_from_gltf) = (&self.covariance, &scene.world_from_gltf);
-        self.boxes.sensor = pose.covariance_of_sensor(covariance, sensor.spec(), world_from_sensor, world_from_gltf);
+        self.boxes.sensor = given.covariance_of_sensor(covariance, sensor.spec(), pose, world_from_gltf);
     }
 
     /// The options of regions of interest.

@@ -164,8 +164,8 @@ pub fn summary(followed: &Followed) -> String {
     let mut off: Vec<(f64, f64)> = Vec::new();
     for (step, there) in steps.iter().zip(reference).filter(|(step, _)| step.is_known()) {
         let Some(there) = there else { continue };
-        let degrees = step.pose.world_from_robot.rotation.angle_between(there.rotation).to_degrees();
-        off.push(((step.pose.world_from_robot.translation - there.translation).length(), degrees));
+        let degrees = step.pose.world_from_robot.rotation.angle_between(there.world_from_robot().rotation).to_degrees();
+        off.push(((step.pose.world_from_robot.translation - there.world_from_robot().translation).length(), degrees));
     }
     if let Some(sigma) = steps.iter().rev().find(|s| s.phase == Phase::Tracking).map(|s| s.estimate.model_sigma) {
         text += &format!("surfaces of the map count as off by {sigma:.3} m\n");

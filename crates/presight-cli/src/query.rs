@@ -11,7 +11,7 @@ use presight::query::{
 };
 use presight::tools::read_settings;
 use presight::virtual_sensors::CorridorFrame;
-use presight::{Error, Pose, Result, World};
+use presight::{Error, Pose, Result, RobotPose, World};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -140,7 +140,7 @@ impl Question {
                     let what = "--along: the corridor is in the robot's frame";
                     return Err(Error::usage(what, "give the robot's --pose x,y,z,roll_deg,pitch_deg,yaw_deg"));
                 }
-                (_, pose) => pose.unwrap_or(Pose::IDENTITY),
+                (_, pose) => RobotPose::new(pose.unwrap_or(Pose::IDENTITY)),
             };
             return Ok(Self::Objects(Place::Along(corridor, pose)));
         }

@@ -10,7 +10,9 @@ use presight::localize::{FeatureClass, Findings, Shape, Step, nees};
 use presight::measured::Frame;
 use presight::tools::write_atomically;
 use presight::verdict::Verdict as Judged;
-use presight::{Backend, Error, Images, Options, Output, Outputs, Pose, Predictor, Request, Result, Scene, Sensor};
+use presight::{
+    Backend, Error, Images, Options, Output, Outputs, Predictor, Request, Result, Scene, Sensor, SensorPose,
+};
 use presight_pictures::{Comparison, GreyMark, GreyPanel, Overlay, PlanMarks, write_comparison};
 use presight_studies::page::replay::{Leaf, page};
 use std::io::Write;
@@ -166,13 +168,13 @@ impl Painter {
             return write_comparison(path, &alone);
         }
         let robot = &step.estimate.pose;
-        let world_from_sensor = robot.world_from_sensor(&sensor.spec().mount);
+        let pose = robot.robot().sensor(sensor);
         let mut request = Request::of(Outputs::of(&[Output::Range, Output::PolygonId]));
         if let Some(features) = &self.features {
             let regions = BoxOptions::default().with_robot(robot, sensor);
             request = request.with_features(features.clone()).with_regions(regions);
         }
-        let predicted = self.predictor.predict(&scene.world, sensor, &world_from_sensor, &request)?;
+        let predicted = self.predictor.predict(&scene.world, sensor, &pose, &request)?;
         let sides = match &predicted.features {
             Some(_) => self.predictor.predict_outlines(&scene.world, &predicted)?,
             None => Vec::new(),
@@ -181,14 +183,14 @@ impl Painter {
             features,
             sides: &sides,
             sensor,
-            world_from_sensor: &world_from_sensor,
+            pose,
             numbers: false,
         });
         let judged: Vec<u8> = step.estimate.verdicts.first().map_or_else(Vec::new, |v| {
             let number = |v: &Judged| Judged::ALL.iter().position(|other| other == v).unwrap_or_default() as u8;
             v.pixels.iter().map(number).collect()
         });
-        let plan = step.estimate.findings.first().map(|found| plan(found, sensor, &world_from_sensor));
+        let plan = step.estimate.findings.first().map(|found| plan(found, sensor, &pose));
         let plan = plan.as_ref().filter(|_| grey.is_none());
         let comparison = Comparison {
             sensor,
@@ -217,9 +219,9 @@ fn marks(findings: &Findings) -> Vec<GreyMark> {
 }
 
 /// Marks for a top view of a scan of one row: predicted and detected reflectors.
-fn plan(findings: &Findings, sensor: &Sensor, world_from_sensor: &Pose) -> Vec<GreyMark> {
+fn plan(findings: &Findings, sensor: &Sensor, pose: &SensorPose) -> Vec<GreyMark> {
     let kind = |name: &str| FEATURES.iter().position(|(known, _)| *known == name).unwrap_or_default();
-    let sensor_from_world = world_from_sensor.inverse();
+    let sensor_from_world = pose.world_from_sensor().inverse();
     let predicted = findings.features.iter().map(|f| {
         let points = f.points_world.iter().map(|p| sensor_from_world.transform_point(*p).truncate()).collect();
         GreyMark { points, kind: kind(f.class.name()), radius: 2.4 }
@@ -241,7 +243,7 @@ fn plan(findings: &Findings, sensor: &Sensor, world_from_sensor: &Pose) -> Vec<G
 /// The page's data of a frame. `extra` is the standard deviation of the log's own poses, metres and radians.
 fn leaf(followed: &Followed, k: usize, picture: &str, extra: (f64, f64)) -> Leaf {
     let (step, counts) = (&followed.steps[k], &followed.counts[k]);
-    let truth: Option<Pose> = followed.reference[k];
+    let truth = followed.reference[k].map(|robot| robot.world_from_robot());
     let known = truth.filter(|_| step.is_known());
     let mut wider = step.pose;
     for i in (0..6).filter(|i| step.pose.covariance[*i][*i] > 0.0) {

@@ -5,7 +5,7 @@
 
 use super::print;
 use presight::tools::write_atomically;
-use presight::{Error, Pose, Result};
+use presight::{Error, Pose, Result, RobotPose};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ pub struct Resumed {
     /// Time of the last frame that is complete, seconds.
     pub time: f64,
     /// world_from_robot then; `None` if it was not known.
-    pub pose: Option<Pose>,
+    pub pose: Option<RobotPose>,
     /// Bytes of FILE.tum and of FILE.jsonl that belong to complete frames.
     pub lengths: [u64; 2],
 }
@@ -69,7 +69,11 @@ impl Mark {
             last.time,
             self.path.display()
         )]);
-        Some(Resumed { time: last.time, pose: is_known.then_some(pose), lengths: [poses as u64, kept as u64] })
+        Some(Resumed {
+            time: last.time,
+            pose: is_known.then_some(RobotPose::new(pose)),
+            lengths: [poses as u64, kept as u64],
+        })
     }
 
     /// Marks the run as not complete.

@@ -8,7 +8,7 @@ use presight::files::{self, ImportOptions, LogFrame, StampedPose, load_sensor};
 use presight::measured::Frame;
 use presight::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
 use presight::tools::write_atomically;
-use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, Scene, Sensor, Threads};
+use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads};
 use presight_pictures as png;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -123,13 +123,13 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         simulator = simulator.with_intensities(args.intensity_noise)?;
     }
     displace(&mut scene.world, args.displace, args.seed)?;
-    let path: Vec<Pose> = poses.iter().map(|p| p.pose).collect();
+    let path: Vec<RobotPose> = poses.iter().map(|p| RobotPose::new(p.pose)).collect();
     let walkers = Walkers::new(&mut scene.world, &path, args.height, args.walkers, args.seed)?;
     files.check_scene(&scene.files)?;
     folder::ready(&args.out)?;
     let mut next = |scene: &mut Scene, pose: &StampedPose| {
         walkers.walk(&mut scene.world, pose.time)?;
-        simulator.frame(&scene.world, pose.time, &pose.pose)
+        simulator.frame(&scene.world, pose.time, &RobotPose::new(pose.pose))
     };
     match &camera {
         None => write_scans(&args.out.join(SCANS), &sensor, &poses, |pose| next(&mut scene, pose))?,
@@ -207,7 +207,7 @@ fn log_frame(frame: &Frame, pose: &StampedPose) -> LogFrame {
         range: frame.ranges().to_vec(),
         intensities: frame.intensities().map(|i| i.values().to_vec()),
         odometry: frame.motion.map(|m| m.previous_from_current),
-        reference: Some(pose.pose),
+        reference: Some(RobotPose::new(pose.pose)),
     }
 }
 
@@ -222,7 +222,7 @@ fn write_images(
     let path = out.join("depth").join(files::image_name(pose.time));
     super::print::notices(&png::write_depth(&path, &images(frame), frame.sensor())?);
     let Some(grey) = grey else { return Ok(()) };
-    let frame = grey.frame(&scene.world, pose.time, &pose.pose)?;
+    let frame = grey.frame(&scene.world, pose.time, &RobotPose::new(pose.pose))?;
     let image = frame.grey().expect("a grey simulator gives grey images");
     png::write_grey(&out.join("grey").join(files::image_name(pose.time)), image)
 }

@@ -50,7 +50,7 @@ impl Summary {
 
     /// The summary as a JSON object (format 1). Values are null if they were not requested or do not exist.
     pub fn json(&self, scene: &Path, prediction: &Prediction, ms: f64, engine: &str) -> Value {
-        let (sensor, pose) = (&prediction.sensor, &prediction.world_from_sensor);
+        let (sensor, pose) = (&prediction.sensor, prediction.pose.world_from_sensor());
         let hit = self.hits.filter(|(hits, ..)| *hits > 0);
         json!({
             "format": 1,

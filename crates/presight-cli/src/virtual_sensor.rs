@@ -3,7 +3,7 @@
 use super::print;
 use presight::files;
 use presight::virtual_sensors::{Settings, View, VirtualReading, VirtualSensor};
-use presight::{Error, Outputs, Pose, Prediction, Predictor, Result, Scene, Sensor};
+use presight::{Error, Outputs, Pose, Prediction, Predictor, Result, Scene, Sensor, SensorPose};
 use presight_pictures as png;
 use std::path::{Path, PathBuf};
 
@@ -71,7 +71,13 @@ impl VirtualArgs {
     }
 
     /// Reads the corridor file, and finds the floor height if it is not known.
-    pub fn settings(&self, scene: &Scene, sensor: &Sensor, pose: &Pose, predictor: &mut Predictor) -> Result<Settings> {
+    pub fn settings(
+        &self,
+        scene: &Scene,
+        sensor: &Sensor,
+        pose: &SensorPose,
+        predictor: &mut Predictor,
+    ) -> Result<Settings> {
         let corridor = self.corridor.as_deref().map(files::read_corridor).transpose()?;
         let unknown = self.task == Some(VirtualSensor::FreeFloor)
             && self.floor_z.is_none()

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 use presight::tools;
-use presight::{Error, Pose, Result};
+use presight::{Error, Pose, Result, SensorPose};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
@@ -35,14 +35,14 @@ pub fn parse<T: DeserializeOwned>(body: &[u8]) -> Result<T> {
     })
 }
 
-/// A pose of six or seven numbers: x, y, z and roll, pitch, yaw in degrees, or x, y, z and a quaternion.
-pub fn pose_of(numbers: &[f64]) -> Result<Pose> {
+/// The sensor's pose of six or seven numbers: x, y, z and roll, pitch, yaw in degrees, or x, y, z and a quaternion.
+pub fn pose_of(numbers: &[f64]) -> Result<SensorPose> {
     let remedy = "give x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw";
     if let Some(number) = numbers.iter().find(|x| !x.is_finite()) {
         return Err(Error::usage(format!("the pose has the number {number}"), remedy));
     }
     let at = |i: usize| DVec3::new(numbers[i], numbers[i + 1], numbers[i + 2]);
-    match numbers.len() {
+    let pose = match numbers.len() {
         6 => {
             let far = at(0).abs().max_element() > tools::MAX_COORDINATE;
             let [roll, pitch, yaw] = at(3).to_array().map(f64::to_radians);
@@ -51,11 +51,13 @@ pub fn pose_of(numbers: &[f64]) -> Result<Pose> {
         }
         7 => Pose::new(at(0), DQuat::from_xyzw(numbers[3], numbers[4], numbers[5], numbers[6])),
         n => Err(Error::usage(format!("the pose has {n} numbers"), remedy)),
-    }
+    };
+    pose.map(SensorPose::new)
 }
 
 /// A pose as x, y, z, roll, pitch, yaw in metres and degrees. Adding 0 turns -0 into 0.
-pub fn six_of(pose: &Pose) -> [f64; 6] {
+pub fn six_of(pose: &SensorPose) -> [f64; 6] {
+    let pose = pose.world_from_sensor();
     let (roll, pitch, yaw) = pose.rpy();
     let [x, y, z] = pose.translation.to_array();
     [x, y, z, roll.to_degrees(), pitch.to_degrees(), yaw.to_degrees()].map(|c| c + 0.0)
@@ -107,7 +109,7 @@ mod tests {
     fn poses_of_six_and_seven_numbers_are_one() {
         let six = [1.0, -2.0, 3.0, 10.0, -20.0, 170.0];
         let pose = pose_of(&six).unwrap();
-        let [x, y, z, w] = pose.rotation.to_array();
+        let [x, y, z, w] = pose.world_from_sensor().rotation.to_array();
         let seven = pose_of(&[1.0, -2.0, 3.0, x, y, z, w]).unwrap();
         assert!((0..6).all(|i| (six_of(&seven)[i] - six[i]).abs() < 1e-12), "{:?}", six_of(&seven));
         let wrong: [&[f64]; 6] = [

@@ -11,7 +11,7 @@ use presight::features::{
 };
 use presight::files::layer_fields;
 use presight::store::feature_change;
-use presight::{Change, Error, Images, Output, Outputs, Pose, Request, Result};
+use presight::{Change, Error, Images, Output, Outputs, Request, Result, SensorPose};
 use presight_studies::pick::{Candidates, Hit, NearbyFeature, PickView};
 use serde::Deserialize;
 use serde_json::value::RawValue;
@@ -216,7 +216,8 @@ impl Session {
             return Err(Error::usage(format!("a reach of {} m", request.reach), "give metres, at most 100"));
         }
         let images = self.polygons(&pose)?;
-        let view = PickView { world: &self.world, sensor: &self.sensor, pose: &pose, images: &images };
+        let view =
+            PickView { world: &self.world, sensor: &self.sensor, pose: &pose.world_from_sensor(), images: &images };
         let Some(hit) = view.hit((column, row)) else {
             return Ok(Body::new(json!({ "seq": request.seq, "hit": null, "candidates": [] })).answer());
         };
@@ -267,7 +268,8 @@ fn told(feature: &Feature, pixels: Option<f64>) -> Value {
 }
 
 /// A box around the points that an image shows, world.
-fn seen_box(images: &Images, sensor: &presight::Sensor, pose: &Pose) -> Option<Aabb> {
+fn seen_box(images: &Images, sensor: &presight::Sensor, pose: &SensorPose) -> Option<Aabb> {
+    let world_from_sensor = pose.world_from_sensor();
     /// Metres around the points: edges reach a little further.
     const AROUND: f64 = 0.05;
     let mut points = Vec::new();
@@ -278,7 +280,7 @@ fn seen_box(images: &Images, sensor: &presight::Sensor, pose: &Pose) -> Option<A
         for column in (0..images.width).step_by(step) {
             let range = f64::from(images.range[row as usize * images.width as usize + column as usize]);
             if let Some(ray) = sensor.ray(column, row).filter(|_| range.is_finite()) {
-                points.push(pose.transform_point(sensor.body_from_image() * ray * range));
+                points.push(world_from_sensor.transform_point(sensor.body_from_image() * ray * range));
             }
         }
     }

@@ -5,7 +5,7 @@ use super::session::Session;
 use presight::features::{BoxOptions, FeatureOptions, Hidden, PlacedFeatures, SeenFeature};
 use presight::predict::Samples;
 use presight::sensor::ImagePart;
-use presight::{Error, Images, Output, Outputs, Pose, Prediction, Request, Result};
+use presight::{Error, Images, Output, Outputs, Prediction, Request, Result, SensorPose};
 use presight_pictures::{Overlay, Screen, Stroke, Style};
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -112,13 +112,7 @@ impl Session {
 
     fn strokes(&self, screen: &Screen, prediction: &Prediction, sides: &[SeenFeature]) -> Vec<Stroke> {
         let Some(features) = &prediction.features else { return Vec::new() };
-        let overlay = Overlay {
-            features,
-            sides,
-            sensor: &self.sensor,
-            world_from_sensor: &prediction.world_from_sensor,
-            numbers: false,
-        };
+        let overlay = Overlay { features, sides, sensor: &self.sensor, pose: prediction.pose, numbers: false };
         screen.strokes(&overlay, &prediction.images)
     }
 
@@ -182,13 +176,13 @@ impl Session {
     }
 
     /// Images of the polygons at a pose.
-    pub(crate) fn polygons(&mut self, pose: &Pose) -> Result<Images> {
+    pub(crate) fn polygons(&mut self, pose: &SensorPose) -> Result<Images> {
         let request = Request::of(Outputs::of(&[Output::PolygonId, Output::Range]));
         Ok(self.predictor.predict(&self.world, &self.sensor, pose, &request)?.images)
     }
 
     /// The lines of features of their own, such as candidates, on the picture of a pose.
-    pub(crate) fn strokes_of(&mut self, placed: PlacedFeatures, pose: &Pose) -> Result<Vec<Stroke>> {
+    pub(crate) fn strokes_of(&mut self, placed: PlacedFeatures, pose: &SensorPose) -> Result<Vec<Stroke>> {
         let outputs = Outputs::of(&[Output::PolygonId, Output::Range]);
         let request = Request::of(outputs).with_features(FeatureOptions::default().with_placed(placed));
         let prediction = self.aside.predict(&self.world, &self.sensor, pose, &request)?;
@@ -198,7 +192,7 @@ impl Session {
 }
 
 /// The six numbers of a pose. Six given numbers return unchanged, so that the page keeps its bits.
-fn six(given: &[f64], pose: &Pose) -> [f64; 6] {
+fn six(given: &[f64], pose: &SensorPose) -> [f64; 6] {
     given.try_into().unwrap_or_else(|_| six_of(pose))
 }
 

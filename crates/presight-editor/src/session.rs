@@ -7,7 +7,7 @@ use presight::environment::DEFAULT_TOLERANCE;
 use presight::features::{self, Feature, FeatureLayer, PlacedFeature, PlacedFeatures};
 use presight::files::{self, LayerFile, layer_fields};
 use presight::predict::{Maker, free_poses};
-use presight::{Backend, Change, Error, Options, Output, Pose, Predictor, Result, Scene, Sensor, World};
+use presight::{Backend, Change, Error, Options, Output, Pose, Predictor, Result, Scene, Sensor, SensorPose, World};
 use presight_pictures::preview_needs;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -22,7 +22,7 @@ pub struct SessionOptions {
     /// The start of the command that repeats a prediction, word by word; the page adds the pose and the layer.
     pub command: Vec<String>,
     /// The first pose of the sensor; `None`: a free one.
-    pub pose: Option<Pose>,
+    pub pose: Option<SensorPose>,
     /// The layer file; `None`: the store's own layer, or a new file.
     pub layer: Option<PathBuf>,
     /// The folder in which a new layer is written; empty: the current one.
@@ -410,13 +410,13 @@ fn named(change: &Change, to: &mut BTreeSet<u32>) {
 }
 
 /// A pose inside the scene, or in the middle of its bounds if nothing is free.
-fn first_pose(world: &World) -> Pose {
+fn first_pose(world: &World) -> SensorPose {
     let middle = || {
         let bounds = world.environment().bounds();
         let at = if bounds.is_empty() { glam::DVec3::ZERO } else { 0.5 * (bounds.min + bounds.max) };
         Pose::from_xyz_rpy(at, 0.0, 0.0, 0.0)
     };
-    free_poses(world, 1, 1995).ok().and_then(|poses| poses.first().copied()).unwrap_or_else(middle)
+    SensorPose::new(free_poses(world, 1, 1995).ok().and_then(|poses| poses.first().copied()).unwrap_or_else(middle))
 }
 
 /// Length of an edge, or of the longest side of an area, metres.

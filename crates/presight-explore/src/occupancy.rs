@@ -40,33 +40,20 @@ impl Cell {
     }
 }
 
-/// Resolution and heights of a grid.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct GridOptions {
-    /// Side of a cell, metres.
-    pub cell: f64,
-    /// Lower end of the obstacles' heights above the floor, metres.
-    pub from_height: f64,
-    /// Upper end of these heights, metres.
-    pub to_height: f64,
-    /// Height of the floor, metres; `None` for the lowest large level surface.
-    pub floor: Option<f64>,
-}
-
-impl Default for GridOptions {
-    fn default() -> Self {
-        Self { cell: 0.05, from_height: 0.1, to_height: 1.8, floor: None }
+presight_model::options! {
+    /// Resolution and heights of a grid.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct GridOptions {
+        /// Side of a cell, metres.
+        cell: f64 = 0.05, with_cell;
+        /// Lower end of the obstacles' heights above the floor, metres.
+        from_height: f64 = 0.1, with_from_height;
+        /// Upper end of these heights, metres.
+        to_height: f64 = 1.8, with_to_height;
+        /// Height of the floor, metres; `None` for the lowest large level surface.
+        floor: Option<f64> = None, with_floor;
     }
 }
-
-presight_model::with_options!(
-    GridOptions:
-    with_cell cell: f64,
-    with_from_height from_height: f64,
-    with_to_height to_height: f64,
-    with_floor floor: Option<f64>,
-);
 
 impl GridOptions {
     /// Checks the values.
@@ -141,8 +128,8 @@ impl Grid {
         Ok(grid)
     }
 
-    /// Marks the cells that floors cover as free. A cell is covered if each of its corners lies on a floor polygon, so that several
-    /// polygons can cover it together.
+    /// Marks the cells that floors cover as free. A cell is covered if each of its corners lies on a floor polygon, so
+    /// that several polygons can cover it together.
     fn add_floors(&mut self, polygons: &[Vec<DVec3>]) {
         let (width, height) = (self.width + 1, self.height + 1);
         let mut covered = vec![false; width * height];
@@ -238,8 +225,8 @@ fn is_floor(polygon: &[DVec3], floor: f64) -> bool {
     is_level(polygon) && polygon.iter().all(|p| (p.z - floor).abs() < UNEVEN)
 }
 
-/// Height of the lowest level surface with at least a quarter of the area of the largest one; the height of the lowest point without a
-/// level surface.
+/// Height of the lowest level surface with at least a quarter of the area of the largest one; the height of the lowest
+/// point without a level surface.
 fn floor_of(polygons: &[Vec<DVec3>]) -> f64 {
     let mut areas = std::collections::BTreeMap::<i64, f64>::new();
     for polygon in polygons.iter().filter(|p| is_level(p)) {
@@ -277,7 +264,8 @@ fn between(polygon: &[DVec3], low: f64, high: f64) -> Vec<DVec2> {
     part.into_iter().map(DVec3::truncate).collect()
 }
 
-/// True if a convex polygon, which may be as thin as a line, reaches into the unit square at a corner (separating axes).
+/// True if a convex polygon, which may be as thin as a line, reaches into the unit square at a corner (separating
+/// axes).
 fn overlaps(polygon: &[DVec2], corner: DVec2, slack: f64) -> bool {
     let square = [corner, corner + DVec2::X, corner + DVec2::ONE, corner + DVec2::Y];
     let sides = (0..polygon.len()).map(|k| (polygon[(k + 1) % polygon.len()] - polygon[k]).perp());

@@ -21,7 +21,7 @@ const MOST_ASKED: usize = 1 << 24;
 
 /// Keeps the best `most` of the visible features and all hidden ones; returns how many were dropped. Information is
 /// weighted by existence and contrast (1 if unknown). Among equal features the lower id is kept. `known` is the prior
-/// covariance of the pose along the world's axes; variances of 0 in it count as 1 m and 1 rad.
+/// covariance of the pose along the world's axes; a variance of 0 in it is replaced by (1 m)^2 or (1 rad)^2.
 pub fn choose(
     prediction: &mut FeaturePrediction,
     placed: &[PlacedFeature],
@@ -67,7 +67,7 @@ pub fn informations(
     .collect()
 }
 
-/// Returns the chosen indices in order. Evaluates gains at most `evaluations` times, and once more per feature.
+/// Returns the chosen indices in order. Evaluates at most `evaluations` gains beyond the first of each feature.
 fn greedy(prior: &Matrix, informations: &[(u32, Matrix)], most: usize, mut evaluations: usize) -> Vec<usize> {
     /// A gain with a total order.
     #[derive(PartialEq)]

@@ -6,7 +6,7 @@ use presight_model::sensor::{Angles, Geometry, Scanner, Sensor};
 /// An edge passes too near the axis to decide on which side if its distance from there is a smaller part of its length:
 /// it then turns by more than 99.9 % of half a turn.
 const HALF: f64 = 1e-3 * std::f64::consts::PI;
-/// An edge that turns by less, radians, may seem to turn the other way by rounding.
+/// Rounding may reverse the apparent direction of an edge that turns by less, radians.
 const SLIGHTLY: f64 = 1e-3;
 
 /// Column interval of the image of a convex polygon, unwrapped: the lower end is in the first turn, and the upper end
@@ -46,8 +46,8 @@ pub(super) fn of_corners(sensor: &Sensor, corners: &[DVec3]) -> Option<[f64; 2]>
     Some([low - back, high - back])
 }
 
-/// Returns the fraction of the way from `a` to `b` (image frame) at which a scanner sees the line highest or lowest, if
-/// that is between the ends. There the ratio of height to distance from the axis is stationary.
+/// Returns the share of the segment from `a` to `b` (image frame) at which a scanner sees it highest or lowest, if that
+/// is between the ends. There the ratio of height to distance from the axis is stationary.
 pub(super) fn culmination_share(a: DVec3, b: DVec3) -> Option<f64> {
     let d = b - a;
     let (aa, ad, dd) = (a.x * a.x + a.y * a.y, a.x * d.x + a.y * d.y, d.x * d.x + d.y * d.y);
@@ -55,7 +55,7 @@ pub(super) fn culmination_share(a: DVec3, b: DVec3) -> Option<f64> {
     (t > 0.0 && t < 1.0).then_some(t)
 }
 
-/// Smallest and largest row of the outline of a polygon.
+/// First and last row of the outline of a polygon.
 pub(super) fn rows_of_outline(sensor: &Sensor, corners: &[DVec3]) -> Option<[f64; 2]> {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for (k, a) in corners.iter().enumerate() {

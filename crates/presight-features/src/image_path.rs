@@ -7,15 +7,15 @@ use glam::{DVec2, DVec3};
 use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 
-/// Farthest distance of the image of a line from its chord, pixels: half as much as the ends are uncertain by sampling.
+/// Maximum distance of the image of a line from its chord, pixels: half of the sampling error of its ends.
 const OFF: f64 = 0.25 * STEP;
 
 /// A line is halved at most this often: a ray table projects only as finely as its rays.
 const HALVINGS: u32 = 8;
 
 /// The visible part of a curve through `points_world` in the image: pixel coordinates, column and row, from its first
-/// end to its last. A line whose image a lens or a scanner bends gets points in between, so that the polyline follows it
-/// to a quarter of the sampling step. Over the seam of a full turn, columns go on beyond the image.
+/// end to its last. If a lens or a scanner bends the image of a line, points are added so that the polyline follows it
+/// to a quarter of the sampling step. Past the seam of a full turn, column numbers continue beyond the image.
 pub fn image_path(
     sensor: &Sensor,
     world_from_sensor: &Pose,
@@ -102,7 +102,7 @@ mod tests {
         image_path(sensor, &Pose::IDENTITY, points, &VisibleInterval { t, pixels })
     }
 
-    /// Without a lens, the path has the ends and each vertex between them. x = 2, so a metre is 100 pixels.
+    /// In an undistorted image the path has the ends and each vertex between them. x = 2, so a metre is 100 pixels.
     #[test]
     fn a_pinhole_shows_vertices_only() {
         let corner = [DVec3::new(2.0, 1.0, 0.0), DVec3::new(2.0, 0.0, 0.0), DVec3::new(2.0, 0.0, -1.0)];
@@ -135,7 +135,7 @@ mod tests {
         assert!(seen.len() < 40, "{} points", seen.len());
     }
 
-    /// A line behind a scanner crosses the seam at column 0: columns go on.
+    /// A line behind a scanner crosses the seam at column 0: its column numbers continue.
     #[test]
     fn columns_go_on_over_the_seam() {
         let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 1.0, count: 360 };

@@ -2,7 +2,7 @@
 
 use super::{PlacedFeatures, STEP, Visibility};
 
-/// Where the features of a prediction come from.
+/// The source of the features of a prediction.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum FeatureSource {
     /// The world's own layer for the sensor's class. The predictor finds their polygons once per version of the world.
@@ -12,7 +12,7 @@ pub enum FeatureSource {
     Placed(PlacedFeatures),
 }
 
-/// How a prediction reports features without a visible part. Partly visible features always list all hidden parts.
+/// The detail in which a prediction reports features without a visible part. Partly visible features always list all hidden parts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Hidden {
     /// Reports every feature, with each hidden part and its reason. Features entirely out of view are listed separately
@@ -40,14 +40,14 @@ pub struct FeatureOptions {
     pub source: FeatureSource,
     /// Time of the probabilities of existence, UTC seconds. `None` means the newest confirmation of all features.
     pub time: Option<f64>,
-    /// How features without a visible part are reported.
+    /// The detail in which features without a visible part are reported.
     pub hidden: Hidden,
-    /// Largest number of visible features to keep: those with the most information about the sensor's pose. The others
+    /// Maximum number of visible features to keep: those with the most information about the sensor's pose. The others
     /// are only counted. `feature_id` shows all.
     pub max_features: Option<usize>,
     /// How visibility is decided.
     pub visibility: Visibility,
-    /// Longest piece of a feature's image per sample, 0.001 pixels to [`STEP`]. Finer steps make visible fractions more
+    /// Maximum length of a feature's image per sample, 0.001 pixels to [`STEP`]. Finer steps make visible fractions more
     /// precise and take longer. A patch over more than 1,024 pixels is sampled at its pixels. With [`Visibility::Rays`]
     /// a patch has up to 4,096 samples, and up to 64 times as many for finer steps.
     pub step: f64,

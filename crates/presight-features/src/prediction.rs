@@ -29,7 +29,7 @@ presight_model::words! {
         Occluded = "occluded",
         /// Covered by a polygon that is, within rounding, equally far away.
         Undecided = "undecided",
-        /// The pixels that would decide were given up for a deadline, and nothing else hides it.
+        /// Unknown: the pixels that would decide were given up for a deadline, and no other occluder was found.
         NotPredicted = "not_predicted",
     }
 }
@@ -87,7 +87,7 @@ pub struct SeenFeature {
     /// Unit normal of its surface in the world, if the layer gives one.
     pub normal_world: Option<DVec3>,
     /// Visible share of the image length inside image and range limits. For patches a share of the area, for points 0
-    /// or 1. 0 if nothing is inside.
+    /// or 1. 0 if the feature is outside these limits.
     pub visible_fraction: f64,
     /// The visible parts. Together with `hidden` they cover 0..=1.
     pub visible: Vec<VisibleInterval>,
@@ -106,7 +106,7 @@ pub struct SeenFeature {
     /// 2 x 2 covariance in the image of every defining point, pixels squared. Present for visible features whose
     /// defining points all have an image; never for contours.
     pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
-    /// Boxes in the image that together hold the visible part of a patch. Emptied once its region of interest is known.
+    /// Boxes in the image that together hold the visible part of a patch. Cleared when its region of interest has been computed.
     pub windows: Vec<[DVec2; 2]>,
 }
 
@@ -189,7 +189,7 @@ pub struct FeatureStats {
     pub features: usize,
     /// Features tested individually: possibly in view, and not hidden as a whole by one polygon.
     pub asked: usize,
-    /// Samples tested for visibility. A segment that is visible or hidden as a whole counts as one.
+    /// Samples tested for visibility. A fully visible or fully hidden segment adds one.
     pub samples: usize,
     /// Samples hidden by a polygon of the nine neighbouring pixels.
     pub hidden_by_neighbours: usize,
@@ -213,7 +213,7 @@ impl FeatureStats {
         self.undecided += other.undecided;
     }
 
-    /// Names and counts for the statistics file.
+    /// The counts with their names in the statistics file.
     pub fn counts(&self) -> [(CountName, usize); 7] {
         [
             (CountName::Features, self.features),
@@ -255,7 +255,7 @@ impl FeaturePrediction {
     /// ```
     /// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();
     /// use presight::features::{FeatureOptions, Hidden, PlacedFeatures};
-    /// use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, Scene};
+    /// use presight::{Backend, Options, Output, Outputs, Predictor, Request, Scene, SensorPose};
     /// # use presight::features::{GenerateOptions, generate};
     /// # use presight::features::place;
     /// let scene = Scene::open("scenes/room.glb")?;
@@ -263,7 +263,8 @@ impl FeaturePrediction {
     /// let placed = PlacedFeatures::from(place(&scene.world, &layer)?);
     /// let options = FeatureOptions::default().with_placed(placed.clone()).with_hidden(Hidden::Full);
     /// let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
-    /// let (camera, away) = (presight::preset("video-camera")?, Pose::from_xyz_rpy(100.0 * glam::DVec3::X, 0.0, 0.0, 0.0));
+    /// let camera = presight::preset("video-camera")?;
+    /// let away = SensorPose::from_xyz_rpy(100.0 * glam::DVec3::X, 0.0, 0.0, 0.0);
     /// let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
     /// let mut seen = predictor.predict(&scene.world, &camera, &away, &request)?.features.unwrap();
     /// seen.spell_out(scene.world.environment(), &placed.features);

@@ -5,7 +5,7 @@ use glam::DMat3;
 use presight_model::environment::{Feature, FeatureShape};
 
 /// Returns the sides of all partly visible patches and fiducials as segments with the id and the polygons of their
-/// patch. The visible share of an area does not say which part of its outline is visible; these segments do.
+/// patch. They show which part of its outline is visible, which the visible share of its area leaves open.
 ///
 /// `placed` are the predicted features in order.
 ///

@@ -9,7 +9,7 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::Aabb;
 use std::ops::Range;
 
-/// Largest number of features in a leaf.
+/// Maximum number of features in a leaf.
 const LEAF: usize = 8;
 
 /// Features sorted by position, and by the polygons on which they lie.

@@ -20,7 +20,7 @@ enum Form {
     Beams {
         /// Centre and half the width, radians; `None` for a full circle.
         azimuth: Option<[f64; 2]>,
-        /// Smallest and largest elevation, radians.
+        /// Minimum and maximum elevation, radians.
         elevation: [f64; 2],
         /// Tangents of the elevations, away from the poles.
         slopes: Option<[f64; 2]>,
@@ -108,7 +108,7 @@ fn sides(camera: &Camera) -> Vec<DVec3> {
     ]
 }
 
-/// Largest angle between a ray at the border and the next one inward. The border itself is half that angle farther out.
+/// Maximum angle between a ray at the border and the next one inward. The border itself is half that angle farther out.
 fn widest_step(sensor: &Sensor) -> Option<f64> {
     const PLACES: u32 = 16;
     let (w, h) = (sensor.width(), sensor.height());

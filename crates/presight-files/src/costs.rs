@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
-/// Most ratios in an entry.
+/// Maximum number of ratios in an entry.
 const MAX_RATIOS: usize = 200;
 
 #[derive(Serialize, Deserialize)]
@@ -97,10 +97,10 @@ impl Entry {
         };
         let mut seconds = [0.0; KINDS];
         for (cost, name) in seconds.iter_mut().zip(WorkCounts::NAMES) {
-            let Some(told) = self.seconds.get(name) else {
+            let Some(given) = self.seconds.get(name) else {
                 return Err(Error::invalid(format!("there is no {name}"), REMEDY).at("seconds"));
             };
-            *cost = within(*told, 0.0, 1e9).map_err(|e| e.at(format!("seconds: {name}")))?;
+            *cost = within(*given, 0.0, 1e9).map_err(|e| e.at(format!("seconds: {name}")))?;
         }
         if let Some(name) = self.seconds.keys().find(|name| !WorkCounts::NAMES.contains(&name.as_str())) {
             return Err(Error::invalid(format!("{name:?} is not a kind of work"), REMEDY).at("seconds"));

@@ -9,11 +9,3 @@ pub mod pcd;
 pub mod ply;
 mod point_fields;
 pub mod prediction_json;
-
-// Until all call sites name presight-read.
-#[doc(hidden)]
-pub use presight_read::{
-    Robot, atomic, camera_info, cloud, depth_folder, file, files_named_by, gltf, growing, layer, load_rectified,
-    load_robot, load_sensor, log, materials, not_built, pose_covariance, preparation, preset, robot_toml, sensor_toml,
-    temporary, text, tum,
-};

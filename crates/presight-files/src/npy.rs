@@ -114,8 +114,8 @@ pub fn write_image(path: &Path, images: &Images, output: Output) -> Result<()> {
     write(path, &image_shape(images.width, images.height, output), values)
 }
 
-/// Writes the unit rays of a sensor as `<f8` of shape (rows, columns, 3): in its body axes (x forward, y left, z up) for
-/// every kind of sensor, NaN where a pixel has no ray. A point is its ray times its range.
+/// Writes the unit rays of a sensor as `<f8` of shape (rows, columns, 3): in its body axes (x forward, y left, z up)
+/// for every kind of sensor, NaN where a pixel has no ray. A point is its ray times its range.
 ///
 /// # Errors
 /// As [`write()`]; [`presight_model::ErrorKind::System`] if memory is short.

@@ -1,4 +1,4 @@
-//! PCD point clouds, binary and organized: one point per pixel, NaN where nothing is measured.
+//! PCD point clouds, binary and organized: one point per pixel, NaN for a pixel without a measurement.
 
 use super::point_fields::{Field, append_position, fields, in_words};
 use presight_model::error::Result;
@@ -65,7 +65,7 @@ fn header(fields: &[Field<'_, '_>], size: u32) -> String {
 fn write_to(out: &mut impl Write, cloud: &PointCloud<'_>) -> io::Result<()> {
     let (fields, wide) = (fields(cloud), is_wide(cloud));
     let viewpoint = match cloud.frame() {
-        PointsFrame::Sensor => *cloud.world_from_sensor(),
+        PointsFrame::Sensor => cloud.pose().world_from_sensor(),
         PointsFrame::World => Pose::IDENTITY,
     };
     let (t, q) = (viewpoint.translation, viewpoint.rotation);
@@ -102,13 +102,14 @@ mod tests {
     use super::super::point_fields::tests::camera_view;
     use super::*;
     use glam::DVec3;
+    use presight_model::geometry::SensorPose;
     use presight_render::plan::{Output, Outputs};
 
     #[test]
     fn every_pixel_is_written_in_order() {
         let (sensor, images) = camera_view();
         let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.0, 3.0), 0.0, 0.0, 0.0);
-        let cloud = PointCloud::new(&images, &sensor, &pose, PointsFrame::Sensor).unwrap();
+        let cloud = PointCloud::new(&images, &sensor, &SensorPose::new(pose), PointsFrame::Sensor).unwrap();
         let cloud = cloud.only(Outputs::of(&[Output::PolygonId]));
         let mut bytes = Vec::new();
         write_to(&mut bytes, &cloud).unwrap();
@@ -132,7 +133,7 @@ mod tests {
             [(8000.0, PointsFrame::World, 4), (9000.0, PointsFrame::Sensor, 4), (9000.0, PointsFrame::World, 8)]
         {
             let pose = Pose::from_xyz_rpy(DVec3::new(x, 0.0, 0.0), 0.0, 0.0, 0.0);
-            let cloud = PointCloud::new(&images, &sensor, &pose, frame).unwrap();
+            let cloud = PointCloud::new(&images, &sensor, &SensorPose::new(pose), frame).unwrap();
             assert_eq!(write(&path, &cloud).unwrap().len(), usize::from(size == 8));
             let header = std::fs::read(&path).unwrap();
             let sizes = format!("\nSIZE {size} {size} {size} 4 4\n");

@@ -55,7 +55,7 @@ fn write_to(out: &mut impl Write, cloud: &PointCloud<'_>, fields: &[Field<'_, '_
          element vertex {}\n\
          property {real} x\nproperty {real} y\nproperty {real} z\n{}end_header\n",
         in_words(cloud.frame()),
-        presight_read::exr::pose_to_text(cloud.world_from_sensor()),
+        presight_read::exr::pose_to_text(&cloud.pose().world_from_sensor()),
         cloud.seen().count(),
         fields.iter().map(properties).collect::<String>()
     )?;
@@ -73,14 +73,14 @@ fn write_to(out: &mut impl Write, cloud: &PointCloud<'_>, fields: &[Field<'_, '_
 mod tests {
     use super::super::point_fields::tests::camera_view;
     use super::*;
-    use presight_model::geometry::Pose;
+    use presight_model::geometry::SensorPose;
     use presight_render::plan::{Output, Outputs};
 
     #[test]
     fn only_hits_are_written_with_their_ids() {
         let (sensor, images) = camera_view();
         for (frame, size) in [(PointsFrame::Sensor, 16), (PointsFrame::World, 28)] {
-            let cloud = PointCloud::new(&images, &sensor, &Pose::IDENTITY, frame).unwrap();
+            let cloud = PointCloud::new(&images, &sensor, &SensorPose::IDENTITY, frame).unwrap();
             let cloud = cloud.only(Outputs::of(&[Output::PolygonId]));
             let mut bytes = Vec::new();
             write_to(&mut bytes, &cloud, &fields(&cloud)).unwrap();
@@ -101,7 +101,7 @@ mod tests {
         let path = folder.path().join("a.ply");
         for (id, kind, notices) in [(i32::MAX as u32, "int", 0), (1 << 31, "uint", 1)] {
             images.polygon_id[4] = id;
-            let cloud = PointCloud::new(&images, &sensor, &Pose::IDENTITY, PointsFrame::Sensor).unwrap();
+            let cloud = PointCloud::new(&images, &sensor, &SensorPose::IDENTITY, PointsFrame::Sensor).unwrap();
             assert_eq!(write(&path, &cloud).unwrap().len(), notices);
             let bytes = std::fs::read(&path).unwrap();
             let header = String::from_utf8_lossy(&bytes[..500.min(bytes.len())]).into_owned();

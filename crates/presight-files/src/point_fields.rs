@@ -80,7 +80,7 @@ pub fn append_position(p: DVec3, wide: bool, bytes: &mut Vec<u8>) {
 #[cfg(test)]
 pub mod tests {
     use glam::DVec3;
-    use presight_model::geometry::Pose;
+    use presight_model::geometry::SensorPose;
     use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
     use presight_read::cloud::read;
     use presight_render::plan::{Images, Output, Outputs};
@@ -101,7 +101,7 @@ pub mod tests {
     #[test]
     fn written_clouds_are_read_again() {
         let (sensor, images) = camera_view();
-        let pose = Pose::from_xyz_rpy(DVec3::new(10.0, 20.0, 3.0), 0.1, 0.2, 0.3);
+        let pose = SensorPose::from_xyz_rpy(DVec3::new(10.0, 20.0, 3.0), 0.1, 0.2, 0.3);
         let folder = tempfile::tempdir().unwrap();
         let (ply, pcd) = (folder.path().join("a.ply"), folder.path().join("a.pcd"));
         let truth = PointCloud::new(&images, &sensor, &pose, PointsFrame::Sensor).unwrap();
@@ -112,14 +112,14 @@ pub mod tests {
             let there = read(&ply).unwrap();
             let seen = truth.positions().iter().filter(|p| !p.is_nan());
             assert!(there.points.iter().zip(seen).all(|(a, b)| a.distance(*b) < 1e-6));
-            assert_eq!((there.points.len(), there.world_from_sensor), (4, Some(pose)));
+            assert_eq!((there.points.len(), there.pose), (4, Some(pose)));
             let organized = read(&pcd);
             if frame == PointsFrame::World {
                 assert!(organized.unwrap_err().to_string().contains("in the world"));
                 continue;
             }
             let organized = organized.unwrap();
-            assert_eq!((organized.size, organized.world_from_sensor), (Some((3, 2)), Some(pose)));
+            assert_eq!((organized.size, organized.pose), (Some((3, 2)), Some(pose)));
             assert!(organized.points[3].is_nan() && organized.points[1].distance(DVec3::new(2.0, 0.0, 0.0)) < 1e-6);
         }
     }

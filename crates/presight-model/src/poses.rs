@@ -2,9 +2,25 @@
 //! along the axes of a glTF file.
 
 use crate::error::{Error, Result};
-use crate::geometry::{InWorld, Pose, PoseCovariance};
-use crate::sensor::{SensorSpec, body_from_optical_rotation};
+use crate::geometry::{InWorld, Pose, PoseCovariance, RobotPose, SensorPose};
+use crate::sensor::{Sensor, SensorSpec, body_from_optical_rotation};
 use glam::DVec3;
+
+impl RobotPose {
+    /// The pose of a sensor of this robot, by the sensor's mount.
+    #[must_use]
+    pub fn sensor(&self, sensor: &Sensor) -> SensorPose {
+        SensorPose::new(self.world_from_robot() * sensor.spec().mount)
+    }
+}
+
+impl SensorPose {
+    /// The pose of the robot that this sensor is mounted on.
+    #[must_use]
+    pub fn robot(&self, sensor: &Sensor) -> RobotPose {
+        RobotPose::new(self.world_from_sensor() * sensor.spec().mount.inverse())
+    }
+}
 
 /// The axes of a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -48,8 +64,8 @@ pub enum WorldFrame {
 /// spec.mount = Pose::from_xyz_rpy(DVec3::new(0.2, 0.0, 0.4), 0.0, 0.0, 0.0);
 ///
 /// let robot = ExternalPose::new(Pose::from_xyz_rpy(DVec3::new(1.0, 1.5, 0.0), 0.0, 0.0, 0.0)).with_of(PoseOf::Robot);
-/// let world_from_sensor = robot.of_sensor(&spec, &scene.world_from_gltf)?;
-/// assert_eq!(world_from_sensor.translation, DVec3::new(1.2, 1.5, 0.4));
+/// let sensor = robot.of_sensor(&spec, &scene.world_from_gltf)?;
+/// assert_eq!(sensor.world_from_sensor().translation, DVec3::new(1.2, 1.5, 0.4));
 /// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -106,7 +122,7 @@ impl ExternalPose {
     ///
     /// # Errors
     /// Errors of [`ExternalPose::check`].
-    pub fn of_sensor(&self, sensor: &SensorSpec, world_from_gltf: &Pose) -> Result<Pose> {
+    pub fn of_sensor(&self, sensor: &SensorSpec, world_from_gltf: &Pose) -> Result<SensorPose> {
         self.check()?;
         let mut pose = self.pose;
         if self.frame == PoseFrame::Optical {
@@ -119,16 +135,16 @@ impl ExternalPose {
         if self.world == WorldFrame::Gltf {
             pose = *world_from_gltf * pose;
         }
-        Ok(pose)
+        Ok(SensorPose::new(pose))
     }
 
-    /// Converts the covariance of the given pose, along the axes of its own world frame, to that of the sensor's pose,
-    /// along the axes of presight's world.
+    /// Converts the covariance of the given pose, along the axes of its own world frame, to that of the sensor's pose
+    /// `pose`, along the axes of presight's world.
     pub fn covariance_of_sensor(
         &self,
         covariance: &PoseCovariance<InWorld>,
         sensor: &SensorSpec,
-        world_from_sensor: &Pose,
+        pose: &SensorPose,
         world_from_gltf: &Pose,
     ) -> PoseCovariance<InWorld> {
         let mut moved = *covariance;
@@ -141,7 +157,7 @@ impl ExternalPose {
             moved = PoseCovariance::from_rows(std::array::from_fn(|i| std::array::from_fn(|j| cell(i, j))));
         }
         if self.of == PoseOf::Robot {
-            let world_from_robot = world_from_sensor.rotation * sensor.mount.rotation.conjugate();
+            let world_from_robot = pose.world_from_sensor().rotation * sensor.mount.rotation.conjugate();
             moved = moved.moved_by(world_from_robot * sensor.mount.translation);
         }
         moved
@@ -161,7 +177,7 @@ mod tests {
 
     fn sensor_pose(given: ExternalPose) -> Pose {
         let y_up = Pose::from_xyz_rpy(DVec3::ZERO, std::f64::consts::FRAC_PI_2, 0.0, 0.0);
-        given.of_sensor(&camera(), &y_up).unwrap()
+        given.of_sensor(&camera(), &y_up).unwrap().world_from_sensor()
     }
 
     fn at(x: f64, y: f64, z: f64) -> ExternalPose {

@@ -134,7 +134,7 @@ fn of_component(v: f32) -> u8 {
 }
 
 fn of_value(v: f32, output: Output, scale: &Scale) -> Rgb {
-    // Outputs without a unit are in 0..=1, and NaN where nothing is seen.
+    // Outputs without a unit are in 0..=1, and NaN where no surface is seen.
     let is_share = !output.is_distance();
     match v {
         v if v.is_nan() && is_share => MISS,

@@ -28,7 +28,7 @@ pub struct Comparison<'a> {
     pub predicted: &'a Images,
     /// Measured ranges in metres, row by row; `-inf`, `+inf` and NaN as in REP-117.
     pub sensed: &'a [f32],
-    /// The verdict of each pixel, as an index into `legend`; empty if nothing was compared.
+    /// The verdict of each pixel, as an index into `legend`; empty without a comparison.
     pub verdicts: &'a [u8],
     /// Names and colours (sRGB) of verdicts.
     pub legend: &'a [(&'a str, [u8; 3])],
@@ -202,7 +202,7 @@ fn from_above(c: &Comparison<'_>) -> Canvas {
         let color = if c.verdicts.is_empty() { FAINT } else { palette.color(i) };
         match (seen, expected) {
             (Some(p), _) => canvas.disc(map.page(*p), 2.5, color),
-            // Without a measurement, the verdict is shown at the predicted point.
+            // A pixel without a measurement shows its verdict at the predicted point.
             (None, Some(p)) => canvas.disc(map.page(*p), 1.2, color),
             (None, None) => {}
         }

@@ -10,7 +10,7 @@ use std::path::Path;
 
 /// Approximate length of the longer side of the corridor, pixels.
 const SIDE: u32 = 800;
-/// Smallest page width that holds title and legend, pixels.
+/// Minimum page width that holds title and legend, pixels.
 const NARROWEST: u32 = 560;
 /// Names and colours of the states, in the order of the shares.
 const STATES: [(&str, Rgb); 4] = [

@@ -12,7 +12,7 @@ use std::path::Path;
 
 /// Approximate length of the longer side of a map, pixels.
 const SIDE: u32 = 640;
-/// Smallest page width that holds titles and scales, pixels.
+/// Minimum page width that holds titles and scales, pixels.
 const NARROWEST: u32 = 360;
 
 /// Values on a grid.

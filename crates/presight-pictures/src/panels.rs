@@ -12,15 +12,15 @@ use presight_model::error::{Error, Result};
 use presight_model::sensor::Sensor;
 use presight_render::plan::{Images, Output};
 
-/// Longest side of a panel, pixels.
+/// Maximum side of a panel, pixels.
 const SIDE: f64 = 360.0;
 /// The frame around the place shown.
 const FRAME: Rgb = [0xff, 0x5a, 0x36];
 /// Share of the frame that is shown around it on each side.
 const AROUND: f64 = 0.6;
-/// Fewest pixels of the sensor that a panel shows along each side.
+/// Minimum number of sensor pixels that a panel shows along each side.
 const FEWEST: f64 = 24.0;
-/// A scan of one row is shown at least so far around, metres.
+/// Minimum distance around the place that the panel of a one-row scan shows, metres.
 const LEAST_AROUND: f64 = 1.0;
 
 /// A range image under a name.

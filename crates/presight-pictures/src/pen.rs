@@ -11,7 +11,7 @@ pub const REGION: Rgb = [0xf2, 0xf4, 0xf8];
 /// Length of a dash and of a gap, page pixels.
 const DASH: f64 = 7.0;
 
-/// How a part of a feature is drawn.
+/// The style of a part of a feature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Style {

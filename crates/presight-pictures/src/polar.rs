@@ -10,7 +10,7 @@ use glam::{DVec2, DVec3};
 use presight_model::sensor::Sensor;
 use presight_render::plan::{Images, Output};
 
-/// Longest side of the plan, pixels.
+/// Maximum side of the plan, pixels.
 const SIDE: f64 = 960.0;
 /// Free space between sensor and hit.
 const FREE: Rgb = [0x39, 0x41, 0x4e];
@@ -89,7 +89,7 @@ pub fn draw(
     canvas
 }
 
-/// Where each ray of the row hits, metres (x forward, y left).
+/// The hit of each ray of the row, metres (x forward, y left).
 pub fn hits(images: &Images, sensor: &Sensor) -> Vec<Option<DVec2>> {
     let hit = |(column, range): (u32, &f32)| {
         let ray = sensor.ray(column, 0).filter(|_| range.is_finite())?;

@@ -11,10 +11,10 @@ use presight_features::{SeenFeature, along};
 use presight_model::environment::FeatureShape;
 use presight_model::geometry::plane_of_polygon;
 
-/// A patch is hidden where a ray meets it beyond the scan by this fraction of the range: more than f32 rounding, too
-/// little to see in a picture.
+/// A patch is hidden where a ray meets it beyond the scan by this fraction of the range, which is above the rounding of
+/// f32 and invisible in a picture.
 const HIDDEN_FROM: f64 = 2e-3;
-/// How far beyond the feature an arc is drawn, and how far its ends reach back, page pixels.
+/// Distance of an arc beyond its feature, and length of its ends, page pixels.
 const OFF: f64 = 9.0;
 
 /// Draws over a scan with these `ranges`; `page` maps metres (x forward, y left) to the page.
@@ -46,7 +46,7 @@ struct TopView<'a, F> {
     rays: Vec<Option<DVec3>>,
 }
 
-/// Where the ray of a column meets a patch; true if it is visible there.
+/// The intersection of a column's ray with a patch; true if the patch is visible there.
 type PatchHit = Option<(DVec3, bool)>;
 
 impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
@@ -83,7 +83,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> TopView<'_, F> {
         }
     }
 
-    /// Where the row's rays meet a patch, by column.
+    /// The intersections of the row's rays with a patch, by column.
     fn met(&self, corners: &[DVec3], feature: &SeenFeature) -> Vec<PatchHit> {
         let spec = self.overlay.sensor.spec();
         let any = feature.visible.iter().len() + feature.hidden.iter().filter(|h| !h.reason.is_outside()).count() > 0;

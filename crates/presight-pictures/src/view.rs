@@ -12,7 +12,7 @@ use presight_render::plan::{Images, Output, SampleKind};
 pub const MARGIN: u32 = 20;
 /// Size to which a smaller image is enlarged, pixels.
 const WISHED: [f64; 2] = [1280.0, 900.0];
-/// How much a border darkens.
+/// Share of black that is mixed into a border.
 const BORDER: f64 = 0.45;
 /// Height of the scale bar, pixels.
 const BAR: u32 = 16;
@@ -22,7 +22,7 @@ pub const FOOTER: u32 = MARGIN + BAR + 8 + TEXT_HEIGHT;
 pub const HEADER: u32 = TEXT_HEIGHT + 12;
 /// An image is drawn at least this wide and high, pixels.
 const THINNEST: f64 = 24.0;
-/// Smallest page width that holds title and legend, pixels.
+/// Minimum page width that holds title and legend, pixels.
 const NARROWEST: u32 = 560;
 
 /// Draws the image pixel by pixel.

@@ -50,8 +50,8 @@ fn open_old(path: &Path, old: &Metadata) -> Result<File> {
     File::options().write(true).open(path).map_err(|e| refused(path, e))
 }
 
-/// Gives a new file owner, group and mode of the file that it replaces. If the system keeps the owner from moving, only the
-/// owner's rights stay, so that nobody gains any.
+/// Gives a new file owner, group and mode of the file that it replaces. If the system keeps the owner from moving, only
+/// the owner's rights stay, so that nobody gains any.
 ///
 /// # Errors
 /// The system's.

@@ -5,7 +5,6 @@ use exr::image::FlatSamples;
 use exr::meta::attribute::{AttributeValue, SampleType};
 use exr::meta::header::Header;
 use exr::prelude::{ReadChannels, ReadLayers};
-use glam::{DQuat, DVec3};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
 use presight_model::printable::quoted;
@@ -52,8 +51,8 @@ impl ExrFile {
 ///
 /// # Errors
 /// [`ErrorKind::Invalid`] or [`ErrorKind::Unsupported`], naming the channel or attribute, for a file that is missing,
-/// truncated or not EXR, has deep data, several layers or sides beyond the limits, a known channel that is subsampled or
-/// of another type, or attributes of a newer format. [`ErrorKind::System`] if the system refuses.
+/// truncated or not EXR, has deep data, several layers or sides beyond the limits, a known channel that is subsampled
+/// or of another type, or attributes of a newer format. [`ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path, known: &[KnownChannel]) -> Result<ExrFile> {
     read_unnamed(path, known).map_err(|e| e.in_file(path))
 }
@@ -175,8 +174,7 @@ fn check_format(text: &str) -> Result<()> {
 
 /// A pose as `x,y,z,qx,qy,qz,qw`, each the shortest text that reads back as the same f64.
 pub fn pose_to_text(pose: &Pose) -> String {
-    let (t, q) = (pose.translation, pose.rotation);
-    [t.x, t.y, t.z, q.x, q.y, q.z, q.w].map(|v| format!("{v:?}")).join(",")
+    pose.to_array().map(|v| format!("{v:?}")).join(",")
 }
 
 /// Reads the text of [`pose_to_text`].
@@ -186,12 +184,6 @@ pub fn pose_to_text(pose: &Pose) -> String {
 pub fn pose_from_text(text: &str) -> Result<Pose> {
     let wrong = || Error::invalid(format!("{} is not a valid pose", quoted(text)), "write finite x,y,z,qx,qy,qz,qw");
     let numbers: Vec<f64> = text.split(',').map_while(|word| word.trim().parse().ok()).collect();
-    let Ok([x, y, z, qx, qy, qz, qw]) = <[f64; 7]>::try_from(numbers) else {
-        return Err(wrong());
-    };
-    let (translation, rotation) = (DVec3::new(x, y, z), DQuat::from_xyzw(qx, qy, qz, qw));
-    let pose = Pose::new(translation, rotation).map_err(|_| wrong())?;
-    // A unit quaternion keeps its bits: normalizing it again could change the last digits.
-    let unit = (rotation.length_squared() - 1.0).abs() < 1e-9;
-    Ok(if unit { Pose { rotation, translation } } else { pose })
+    let numbers: [f64; 7] = numbers.try_into().map_err(|_| wrong())?;
+    Pose::of_numbers(&numbers).map_err(|_| wrong())
 }

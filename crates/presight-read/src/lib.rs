@@ -1,5 +1,5 @@
-//! Readers of scenes, sensors, layers, logs, poses and points, one module per format; the preparation of models; and the
-//! writers of models and layers. They know the data types of `presight-model` and no renderer.
+//! Readers of scenes, sensors, layers, logs, poses and points, one module per format; the preparation of models; and
+//! the writers of models and layers. They know the data types of `presight-model` and no renderer.
 
 pub mod atomic;
 pub mod camera_info;

@@ -29,8 +29,8 @@ pub(super) fn preset_names() -> String {
 }
 
 /// Makes the sensor that `--sensor PRESET|FILE` names: a preset, a sensor TOML, or the YAML of a camera's calibration
-/// ([`camera_info`]), where `FILE.yaml:cam1` names a camera of Kalibr's camchain. Also returns notices on unused parts of
-/// the file.
+/// ([`camera_info`]), where `FILE.yaml:cam1` names a camera of Kalibr's camchain. Also returns notices on unused parts
+/// of the file.
 ///
 /// # Errors
 /// [`presight_model::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`, `.yaml` or `.yml`; errors of
@@ -82,8 +82,8 @@ fn file_and_camera(arg: &str) -> (&Path, Option<&str>) {
     }
 }
 
-/// The files that a sensor file (its ray table) or a robot file (its sensors, and their ray tables) names, and the file in
-/// `FILE.yaml:CAMERA`. A file that cannot be read names none; loading it reports why.
+/// The files that a sensor file (its ray table) or a robot file (its sensors, and their ray tables) names, and the file
+/// in `FILE.yaml:CAMERA`. A file that cannot be read names none; loading it reports why.
 pub fn files_named_by(path: &Path) -> Vec<PathBuf> {
     let of_camera = |path: &Path| {
         let (file, camera) = file_and_camera(path.to_str()?);

@@ -4,7 +4,7 @@ use crate::plan::{IdScheme, Images, Output, Outputs, PolygonsOfIds};
 use glam::{DVec3, Vec3};
 use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, plane_of_polygon};
+use presight_model::geometry::{SensorPose, plane_of_polygon};
 use presight_model::memory;
 use presight_model::sensor::{Geometry, Sensor};
 use std::collections::HashMap;
@@ -29,7 +29,7 @@ pub struct PointCloud<'a> {
     outputs: Outputs,
     rings: bool,
     frame: PointsFrame,
-    world_from_sensor: Pose,
+    pose: SensorPose,
     positions: Vec<DVec3>,
     normals: Vec<Vec3>,
 }
@@ -39,8 +39,9 @@ impl<'a> PointCloud<'a> {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] if the range image is missing, or an image does not have the sensor's
-    /// size; errors of [`Pose::check`].
-    pub fn new(images: &'a Images, sensor: &Sensor, world_from_sensor: &Pose, frame: PointsFrame) -> Result<Self> {
+    /// size; errors of [`presight_model::geometry::Pose::check`].
+    pub fn new(images: &'a Images, sensor: &Sensor, pose: &SensorPose, frame: PointsFrame) -> Result<Self> {
+        let world_from_sensor = pose.world_from_sensor();
         world_from_sensor.check()?;
         let pixels = sensor.width() as usize * sensor.height() as usize;
         let fits = |output| images.samples(output).is_none_or(|samples| samples.len() == pixels);
@@ -65,14 +66,14 @@ impl<'a> PointCloud<'a> {
                 positions.push(point.unwrap_or(DVec3::NAN));
             }
         }
-        let (rings, world_from_sensor) = (!matches!(sensor.spec().geometry, Geometry::Camera(_)), *world_from_sensor);
+        let rings = !matches!(sensor.spec().geometry, Geometry::Camera(_));
         let outputs = images.outputs();
         let mut normals = memory::reserved(images.normal.len())?;
         normals.extend(images.normal.iter().map(|n| match frame {
             PointsFrame::Sensor => Vec3::from(*n),
             PointsFrame::World => (world_from_sensor.rotation * DVec3::from(n.map(f64::from))).as_vec3(),
         }));
-        Ok(Self { images, outputs, rings, frame, world_from_sensor, positions, normals })
+        Ok(Self { images, outputs, rings, frame, pose: *pose, positions, normals })
     }
 
     /// Keeps only the fields of these images.
@@ -115,7 +116,7 @@ impl<'a> PointCloud<'a> {
     }
 
     fn normal(&self, environment: &Environment, object: u32, polygon: u32) -> Vec3 {
-        let pose = &self.world_from_sensor;
+        let pose = self.pose.world_from_sensor();
         let corners = environment.objects()[object as usize].polygon_in_world(polygon);
         // Positions relative to the sensor keep their digits far from the origin.
         let relative: Vec<DVec3> = corners.iter().map(|p| *p - pose.translation).collect();
@@ -162,9 +163,9 @@ impl<'a> PointCloud<'a> {
         self.frame
     }
 
-    /// The pose of the sensor, body axes.
-    pub fn world_from_sensor(&self) -> &Pose {
-        &self.world_from_sensor
+    /// The pose of the sensor.
+    pub fn pose(&self) -> SensorPose {
+        self.pose
     }
 }
 
@@ -187,7 +188,7 @@ mod tests {
     #[test]
     fn a_camera_sees_forward_left_and_down() {
         let (sensor, images) = camera_view();
-        let cloud = PointCloud::new(&images, &sensor, &Pose::IDENTITY, PointsFrame::Sensor).unwrap();
+        let cloud = PointCloud::new(&images, &sensor, &SensorPose::IDENTITY, PointsFrame::Sensor).unwrap();
         let p = cloud.positions();
         assert!((p[1] - DVec3::new(2.0, 0.0, 0.0)).length() < 1e-12, "the axis: {}", p[1]);
         assert!(p[0].y > 0.0 && p[2].y < 0.0, "column 0 is the left one");
@@ -205,7 +206,7 @@ mod tests {
         let mut images = Images::default();
         images.prepare(2, 1, Outputs::of(&[Output::Range]));
         images.range.fill(2.0);
-        let pose = Pose::from_xyz_rpy(DVec3::new(5e6, 1.0, 1.0), 0.0, 0.0, 0.0);
+        let pose = SensorPose::from_xyz_rpy(DVec3::new(5e6, 1.0, 1.0), 0.0, 0.0, 0.0);
         let cloud = PointCloud::new(&images, &sensor, &pose, PointsFrame::World).unwrap();
         let off = cloud.positions()[1] - DVec3::new(5e6, 3.0, 1.0);
         assert!(off.length() < 1e-8, "{off}");
@@ -215,6 +216,6 @@ mod tests {
     fn images_of_another_size_are_refused() {
         let (sensor, mut images) = camera_view();
         images.range.pop();
-        assert!(PointCloud::new(&images, &sensor, &Pose::IDENTITY, PointsFrame::Sensor).is_err());
+        assert!(PointCloud::new(&images, &sensor, &SensorPose::IDENTITY, PointsFrame::Sensor).is_err());
     }
 }

@@ -1,9 +1,9 @@
-//! Assigns the rows of a table to its columns, each to one of its own, with the least total cost. Costs are integers, so
-//! that a tie is exact.
+//! Assigns the rows of a table to its columns, each to one of its own, with the least total cost. Costs are integers,
+//! so that a tie is exact.
 
 use pathfinding::prelude::{Matrix, kuhn_munkres_min};
 
-/// Most steps for one table, rows times rows times columns: about a second.
+/// Maximum number of steps for one table, rows times rows times columns: about a second.
 pub(super) const MAX_WORK: usize = 1 << 27;
 
 /// An optimal assignment.

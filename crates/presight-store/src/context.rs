@@ -1,7 +1,7 @@
 //! Operations become changes of an environment.
 
 use super::merge;
-use super::op::{InsertObject, Op, TrustFields, affine_of, covariance_of, pose_of};
+use super::op::{InsertObject, Op, TrustFields, affine_of, covariance_of};
 use glam::{DVec3, Vec3};
 use presight_model::change::Change;
 use presight_model::environment::{DEFAULT_TOLERANCE, Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
@@ -53,11 +53,15 @@ impl<'a> Context<'a> {
             self.tolerance.unwrap_or_else(of_layer)
         };
         Ok(match op {
-            Op::Move { object, pose } => Change::MoveObject { name: object, world_from_object: pose_of(&pose)? },
-            Op::SetPose { object, pose } => Change::SetPose { name: object, world_from_object: pose_of(&pose)? },
+            Op::Move { object, pose } => {
+                Change::MoveObject { name: object, world_from_object: Pose::of_numbers(&pose)? }
+            }
+            Op::SetPose { object, pose } => {
+                Change::SetPose { name: object, world_from_object: Pose::of_numbers(&pose)? }
+            }
             Op::DeleteObject { object } => Change::DeleteObject { name: object },
             Op::SetGroup { group, pose } => {
-                Change::SetFrame { name: group, world_from_group: pose.as_deref().map(pose_of).transpose()? }
+                Change::SetFrame { name: group, world_from_group: pose.as_deref().map(Pose::of_numbers).transpose()? }
             }
             Op::InsertObject(new) => {
                 let place = format!("object {:?}", new.object);
@@ -141,7 +145,7 @@ impl<'a> Context<'a> {
         if self.folder.is_some() {
             check_name(&name)?;
         }
-        let pose = fields.pose.as_deref().map_or(Ok(Pose::IDENTITY), pose_of)?;
+        let pose = fields.pose.as_deref().map_or(Ok(Pose::IDENTITY), Pose::of_numbers)?;
         let logged = self.folder.is_none();
         if !logged && self.environment().object(&name).is_some() {
             return Err(Error::invalid("it already exists", "delete it first, or choose another path"));

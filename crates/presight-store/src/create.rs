@@ -72,10 +72,10 @@ fn fill(file: &Path, path: &Path, environment: &Environment, note: &Note) -> Res
     };
     let connection = connect(file).map_err(|e| wrap(nameless(e)))?;
     connection.set_prepared_statement_cache_capacity(64);
-    // No journal or syncs: nobody sees the file before it is complete, and `create` syncs it once.
+    // No journal or syncs: the file is invisible until it is complete, and `create` syncs it once.
     let mut sql = format!(
-        "PRAGMA page_size = {PAGE}; PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; PRAGMA application_id = {APPLICATION_ID}; \
-         PRAGMA user_version = {FORMAT}; BEGIN;"
+        "PRAGMA page_size = {PAGE}; PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; \
+         PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {FORMAT}; BEGIN;"
     );
     TABLES.iter().for_each(|(_, table)| sql += &format!("{table};"));
     connection.execute_batch(&sql).map_err(wrap)?;

@@ -17,9 +17,8 @@ pub fn feature_line(change: &Change) -> Result<String> {
     serde_json::to_string(&op).map_err(|e| Error::invalid("the change cannot be written as JSON", "").caused_by(e))
 }
 
-/// The change of a line: the insertion, alteration, restoration or deletion of features, the tolerance of their layer, or a
-/// group of these. Its
-/// `cause` and `id` have no effect.
+/// The change of a line: the insertion, alteration, restoration or deletion of features, the tolerance of their layer,
+/// or a group of these. Its `cause` and `id` have no effect.
 ///
 /// # Errors
 /// [`presight_model::ErrorKind::Invalid`] for another change, and for a feature that is not valid.
@@ -55,8 +54,11 @@ mod tests {
     #[test]
     fn lines_of_features_read_back_and_others_are_refused() {
         let environment = Arc::new(Environment::new());
-        let line = r#"{"op":"group","changes":[{"op":"insert_feature","class":"video","feature":{"id":3,"kind":"point","points":[[1.0,0.1,-0.0]]}},{"op":"delete_feature","class":"video","feature":2}]}"#;
-        let change = feature_change(line, &environment).unwrap();
+        let inserted =
+            r#"{"op":"insert_feature","class":"video","feature":{"id":3,"kind":"point","points":[[1.0,0.1,-0.0]]}}"#;
+        let deleted = r#"{"op":"delete_feature","class":"video","feature":2}"#;
+        let line = format!(r#"{{"op":"group","changes":[{inserted},{deleted}]}}"#);
+        let change = feature_change(&line, &environment).unwrap();
         assert_eq!(feature_line(&change).unwrap(), line);
         let caused = line.replacen('{', r#"{"cause":"edit","#, 1);
         assert_eq!(feature_line(&feature_change(&caused, &environment).unwrap()).unwrap(), line);

@@ -2,7 +2,7 @@
 
 use super::Store;
 use super::context::Context;
-use super::op::{InsertObject, Op, pose_fields, pose_of};
+use super::op::{InsertObject, Op, pose_fields};
 use super::rows::{from_json, json};
 use super::schema::refusal;
 use presight_model::change::Change;
@@ -82,7 +82,7 @@ fn outline(op: &Op, without_materials: bool) -> Vec<Part> {
         }
         Op::InsertObject(new) => {
             let InsertObject { object, pose, .. } = &**new;
-            let pose = pose.as_deref().map_or(Ok(Pose::IDENTITY), pose_of);
+            let pose = pose.as_deref().map_or(Ok(Pose::IDENTITY), Pose::of_numbers);
             vec![pose.map_or(Part::Wrong, |pose| Part::Insert(object.clone(), pose_fields(&pose)))]
         }
         other => vec![step(other).map_or(Part::Wrong, Part::Step)],

@@ -1,17 +1,24 @@
 //! The stored environment: one SQLite file, `.presight`, that holds the environment and the log of all its changes.
 //!
-//! | table | columns |
-//! |---|---|
-//! | `meta` | one row: `created` (UTC seconds) and `cause`, `genesis` (hash of the initial content), `next_object` and `next_slot` (the first unused numbers), `changes` (length of the log), `head` (hash of its last entry), `digest` (sum of the hashes of all rows below) |
-//! | `groups` | `path`, `pose` [x, y, z, qx, qy, qz, qw] of its frame in the world; only groups with a frame of their own |
-//! | `objects` | `number` (`object_id` in images is one more), `name` (full path), `pose` [x, y, z, qx, qy, qz, qw] of the object in the world, metres, `object_from_mesh` (12 numbers, column by column; null: identity), `mesh`, `first_slot`, `first_source` |
-//! | `meshes` | `number`, `name`, `vertices`, `polygons`, `content` (a blob, see the source of `blob`); objects share meshes, and an unused mesh is kept, because an undo may need it |
-//! | `materials` | `number`, `name`, `properties` (`reflection`, `one_sided`, `color`, `classes`) |
-//! | `layers` | sensor `class`, `tolerance` in metres, `pose_covariances` [[object, 6 x 6], ..] |
-//! | `features` | `class`, `id`, `kind`, `object`, `feature` (as in a layer file, with covariance, existence and last confirmation); `kind` and `feature` are null for a deleted feature, whose id is never reused |
-//! | `log` | `number` from 1, `time` (UTC seconds), `cause`, `id` (the caller's, if any), `undoes` (the entry it undoes), `change` and `inverse` (JSON in the format of `presight env apply`), `request` (BLAKE3 of the input line; only for changes with an id), `evidence` (JSON of the caller, if any) |
-//! | `marks` | `name`, `mark` (`object`, `kind`, `class`, `box`) |
-//! | `trust` | `object`, `trust` (`existence`, `confirmed` UTC seconds, `rate` 1 / s) |
+//! - `meta`: one row: `created` (UTC seconds) and `cause`, `genesis` (hash of the initial content), `next_object` and
+//!   `next_slot` (the first unused numbers), `changes` (length of the log), `head` (hash of its last entry), `digest`
+//!   (sum of the hashes of all rows below)
+//! - `groups`: `path`, `pose` [x, y, z, qx, qy, qz, qw] of its frame in the world; only groups with a frame of their
+//!   own
+//! - `objects`: `number` (`object_id` in images is one more), `name` (full path), `pose` [x, y, z, qx, qy, qz, qw] of
+//!   the object in the world, metres, `object_from_mesh` (12 numbers, column by column; null: identity), `mesh`,
+//!   `first_slot`, `first_source`
+//! - `meshes`: `number`, `name`, `vertices`, `polygons`, `content` (a blob, see the source of `blob`); objects share
+//!   meshes, and an unused mesh is kept, because an undo may need it
+//! - `materials`: `number`, `name`, `properties` (`reflection`, `one_sided`, `color`, `classes`)
+//! - `layers`: sensor `class`, `tolerance` in metres, `pose_covariances` [[object, 6 x 6], ..]
+//! - `features`: `class`, `id`, `kind`, `object`, `feature` (as in a layer file, with covariance, existence and last
+//!   confirmation); `kind` and `feature` are null for a deleted feature, whose id is never reused
+//! - `log`: `number` from 1, `time` (UTC seconds), `cause`, `id` (the caller's, if any), `undoes` (the entry it
+//!   undoes), `change` and `inverse` (JSON in the format of `presight env apply`), `request` (BLAKE3 of the input line;
+//!   only for changes with an id), `evidence` (JSON of the caller, if any)
+//! - `marks`: `name`, `mark` (`object`, `kind`, `class`, `box`)
+//! - `trust`: `object`, `trust` (`existence`, `confirmed` UTC seconds, `rate` 1 / s)
 //!
 //! This is format 5. A store of format 4, which lacks `evidence`, `marks` and `trust`, gets them at the first change.
 //!
@@ -20,8 +27,8 @@
 //! signed: they detect damage, not forgery.
 //!
 //! A commit is on disk when the call returns: rollback journal, `synchronous = EXTRA`. Between commits the file alone
-//! is complete and can be copied. A [`Store`] holds SQLite's write lock until it is dropped; a second writer is refused
-//! at once. Readers load one version in one transaction and then work in memory.
+//! is complete and can be copied. A [`Store`] holds SQLite's write lock until it is dropped; a second writer gets an
+//! error immediately. Readers load one version in one transaction and then work in memory.
 
 mod assign;
 mod beliefs;
@@ -49,7 +56,6 @@ pub use create::create;
 pub use feature_lines::{feature_change, feature_line};
 pub use line::apply_line;
 pub use log::LogEntry;
-pub use op::pose_of;
 pub use proposal::{ChangeEvidence, Edit, EditPose, ProposedChange, ShapeSource};
 pub use scene::{Existing, SceneMerge};
 pub use write::{Batch, Note};
@@ -240,7 +246,8 @@ impl Store {
         Self::open_with_index(path, &IndexKind::default())
     }
 
-    /// Opens a store for changes and indexes its world. [`IndexKind::None`] is enough if nothing is predicted.
+    /// Opens a store for changes and indexes its world. [`IndexKind::None`] is enough for a store that makes no
+    /// predictions.
     ///
     /// # Errors
     /// As [`Store::open`].
@@ -289,7 +296,7 @@ impl Store {
         &self.world
     }
 
-    /// Keeps the feature layers open from now on: many changes follow, and nobody reads the layers in between.
+    /// Keeps the feature layers open from now on: many changes follow, without a reader of the layers in between.
     pub fn begin_row(&mut self) {
         self.world.begin_row();
     }
@@ -373,8 +380,8 @@ impl Store {
     }
 
     /// Returns the change that merges a scene into the world, with lists of the objects that it affects. Content that
-    /// both have in common is not changed. Objects have the same path in both; where the scene repeats a name, so that paths depend on the
-    /// order of the file, they are paired by shape and then by distance.
+    /// both have in common is not changed. Objects have the same path in both; where the scene repeats a name, so that
+    /// paths depend on the order of the file, they are paired by shape and then by distance.
     ///
     /// # Errors
     /// [`ErrorKind::Invalid`] if a stored object of the same path differs and `existing` ones are kept.
@@ -393,7 +400,7 @@ impl Store {
         self.connection.execute_batch(sql).map_err(|e| refusal(&self.path, "open the store", e))
     }
 
-    /// Reacquires the write lock if it was lost, and checks that nobody has written in the meantime.
+    /// Reacquires the write lock if it was lost, and checks that no other program has written in the meantime.
     fn lock(&mut self) -> Result<()> {
         if self.locked {
             return Ok(());

@@ -46,8 +46,8 @@ impl Line {
     }
 }
 
-/// Applies a line of `presight env apply` to a world in memory; files that it names are relative to `folder`. No log is kept, so its
-/// cause and id have no effect. Returns notices of the scene files that it names.
+/// Applies a line of `presight env apply` to a world in memory; files that it names are relative to `folder`. No log is
+/// kept, so its cause and id have no effect. Returns notices of the scene files that it names.
 ///
 /// ```
 /// use presight::Scene;
@@ -61,7 +61,8 @@ impl Line {
 /// ```
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Invalid`] if the line is not a valid change; as [`World::apply`]. The world then does not change.
+/// [`presight_model::ErrorKind::Invalid`] if the line is not a valid change; as [`World::apply`]. The world then does
+/// not change.
 pub fn apply_line(world: &mut World, line: &str, folder: &Path) -> Result<Vec<String>> {
     let mut mesh = |_| Err(Error::invalid("mesh numbers are valid only in the log", "give \"like\""));
     let environment = world.environment().clone();

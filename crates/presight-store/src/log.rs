@@ -108,8 +108,8 @@ pub(super) fn walk(
 
 /// Returns the entries to undo, newest first, so that entry `number` can be undone.
 ///
-/// A later entry is in the way if it touches something that this entry wrote. A later entry that was undone, and the
-/// entry that undid it, are ignored.
+/// A later entry conflicts if it touches a row that this entry wrote. A later entry that was undone, and the entry
+/// that undid it, are ignored.
 pub(super) fn undo_plan(entries: &[LogEntry], number: u64, cascade: bool) -> Result<Vec<u64>> {
     let at = |n: u64| entries.get((n as usize).wrapping_sub(1));
     let Some(wanted) = at(number) else {

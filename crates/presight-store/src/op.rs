@@ -1,29 +1,35 @@
 //! Changes as JSON: the lines of `presight env apply` and of the log.
 //!
-//! | `op` | keys |
-//! |---|---|
-//! | `move` | `object`, `pose`; objects below the path move with it. The path may name a group; then its frame gets the pose |
-//! | `set_pose` | `object`, `pose`; moves this object alone; a group as by `move` |
-//! | `delete_object` | `object`; its features are deleted too. If the path names a group, all objects below it are deleted |
-//! | `set_group` | `group`, `pose`: sets its frame alone; null or absent removes the frame |
-//! | `insert_object` | `object`, `pose` (default: the origin), and one of: `from` (a scene file, relative to the file of changes; `from_object` selects one of several objects); `vertices` [[x, y, z], ..] with `polygons` [[0, 1, 2], ..] and `material` (a name; default `default`, which is added if missing); `like` (an object with the same mesh). Only in the log: `mesh` (number of the row), `object_from_mesh` (12 numbers, column by column), `first_source` |
-//! | `add_material` | `name`; optional: `reflection`, `one_sided`, `color` [r, g, b], `classes` {class: `opaque`, `transparent` or `invisible`} |
-//! | `insert_feature`, `set_feature` | `class`, `feature`: as in a layer file |
-//! | `restore_feature` | the same: restores a deleted feature under its old id |
-//! | `delete_feature` | `class`, `feature`: its number |
-//! | `set_tolerance` | `class`, `tolerance` |
-//! | `set_pose_covariance` | `class`, `object`, `covariance`: 36 numbers, or null for none |
-//! | `set_mark` | `mark` (its name), `object`, `kind` (`uncertain`, `absent`: not predicted, or `unseen`: nobody saw this place); optional `class` (of the sensors that it concerns) and `box` [[x, y, z], [x, y, z]] in the frame of the object |
-//! | `remove_mark` | `mark` |
-//! | `set_trust` | `object`, and `trust` (`existence`, `confirmed` UTC seconds, `rate` 1 / s), or null for none |
-//! | `group` | `changes`: all of them or none |
+//! - `move`: `object`, `pose`; objects below the path move with it. The path may name a group; then its frame gets the
+//!   pose
+//! - `set_pose`: `object`, `pose`; moves this object alone; a group as by `move`
+//! - `delete_object`: `object`; its features are deleted too. If the path names a group, all objects below it are
+//!   deleted
+//! - `set_group`: `group`, `pose`: sets its frame alone; null or absent removes the frame
+//! - `insert_object`: `object`, `pose` (default: the origin), and one of: `from` (a scene file, relative to the file of
+//!   changes; `from_object` selects one of several objects); `vertices` [[x, y, z], ..] with `polygons` [[0, 1, 2], ..]
+//!   and `material` (a name; default `default`, which is added if missing); `like` (an object with the same mesh). Only
+//!   in the log: `mesh` (number of the row), `object_from_mesh` (12 numbers, column by column), `first_source`
+//! - `add_material`: `name`; optional: `reflection`, `one_sided`, `color` [r, g, b], `classes` {class: `opaque`,
+//!   `transparent` or `invisible`}
+//! - `insert_feature`, `set_feature`: `class`, `feature`: as in a layer file
+//! - `restore_feature`: the same: restores a deleted feature under its old id
+//! - `delete_feature`: `class`, `feature`: its number
+//! - `set_tolerance`: `class`, `tolerance`
+//! - `set_pose_covariance`: `class`, `object`, `covariance`: 36 numbers, or null for none
+//! - `set_mark`: `mark` (its name), `object`, `kind` (`uncertain`, `absent`: not predicted, or `unseen`: never
+//!   observed); optional `class` (of the sensors that it concerns) and `box` [[x, y, z], [x, y, z]] in the frame of
+//!   the object
+//! - `remove_mark`: `mark`
+//! - `set_trust`: `object`, and `trust` (`existence`, `confirmed` UTC seconds, `rate` 1 / s), or null for none
+//! - `group`: `changes`: all of them or none
 //!
-//! A line may have `was`: objects with the poses that they had when the change was found, as [{`object`, `pose`}, ..]. It is
-//! refused if one of them stands elsewhere by now.
+//! A line may have `was`: objects with the poses that they had when the change was found, as [{`object`, `pose`}, ..].
+//! It is refused if one of them has moved since.
 //!
 //! A `pose` is x, y, z in metres and roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw.
 
-use glam::{DAffine3, DQuat, DVec3};
+use glam::{DAffine3, DVec3};
 use presight_model::change::Change;
 use presight_model::environment::{Appearance, Environment, Existence, Mark, MarkKind, Material, Mesh};
 use presight_model::error::{Error, Result};
@@ -132,7 +138,7 @@ impl MaterialFields {
 pub(super) enum Key {
     /// An object's pose, mesh and existence, or a group's frame.
     Object(String),
-    /// Whether an object of this name exists.
+    /// True if an object of this name exists.
     Existence(String),
     Feature(String, u32),
     /// A layer's tolerance and pose covariances.
@@ -258,7 +264,7 @@ impl Op {
     }
 }
 
-/// Where an object stood when a change was found.
+/// Pose of an object at the time when a change was found.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Was {
@@ -267,10 +273,10 @@ pub(super) struct Was {
 }
 
 impl Was {
-    /// Returns an error unless the object still stands there.
+    /// Returns an error unless the object still has this pose.
     pub fn check(&self, environment: &Environment) -> Result<()> {
         let index = environment.index_of(&self.object)?;
-        if environment.objects()[index as usize].world_from_object == pose_of(&self.pose)? {
+        if environment.objects()[index as usize].world_from_object == Pose::of_numbers(&self.pose)? {
             return Ok(());
         }
         let what = format!("object {:?} is not where it was when the change was found", self.object);
@@ -361,36 +367,7 @@ pub(super) fn affine_of(fields: Option<&[f64]>) -> Result<DAffine3> {
 
 /// A pose as seven numbers.
 pub(super) fn pose_fields(pose: &Pose) -> Vec<f64> {
-    pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect()
-}
-
-/// Parses a pose as files of changes have it: x, y, z in metres and roll, pitch, yaw in degrees, or x, y, z, qx, qy, qz, qw. A unit
-/// quaternion is not normalized again, so that written poses read back exactly.
-///
-/// # Errors
-/// [`presight_model::ErrorKind::Invalid`] for another count of numbers, and for a pose that is not finite or out of bounds.
-pub fn pose_of(numbers: &[f64]) -> Result<Pose> {
-    const UNIT: f64 = 1e-9;
-    let at = |i: usize| DVec3::new(numbers[i], numbers[i + 1], numbers[i + 2]);
-    let pose = match numbers.len() {
-        6 => {
-            let [roll, pitch, yaw] = at(3).to_array().map(f64::to_radians);
-            Pose::from_xyz_rpy(at(0), roll, pitch, yaw)
-        }
-        7 => {
-            let rotation = DQuat::from_xyzw(numbers[3], numbers[4], numbers[5], numbers[6]);
-            let unit = (rotation.length_squared() - 1.0).abs() <= UNIT;
-            let scaled = rotation.length().recip().is_normal();
-            Pose { translation: at(0), rotation: if scaled && !unit { rotation.normalize() } else { rotation } }
-        }
-        n => {
-            let what = format!("the pose has {n} numbers");
-            let remedy = "give [x, y, z, roll_deg, pitch_deg, yaw_deg] or [x, y, z, qx, qy, qz, qw]";
-            return Err(Error::invalid(what, remedy));
-        }
-    };
-    presight_model::environment::check_pose(&pose)?;
-    Ok(pose)
+    pose.to_array().to_vec()
 }
 
 pub(super) fn covariance_of(fields: Option<Vec<f64>>) -> Result<Option<PoseCovariance<InObject>>> {

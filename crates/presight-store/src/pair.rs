@@ -1,9 +1,9 @@
 //! Pairs the objects of a scene with the objects of an environment by their paths.
 //!
-//! A file may repeat a name: its second `chair` becomes `chair#2`, in the order of the file. Such numbers say nothing
-//! about the object. So where a name is repeated, what did not change is paired first, then what has equal shapes, then
-//! the rest, each so that the sum of the distances is least. A repeated group is paired as a whole. A name without a
-//! repetition is paired with the same name.
+//! A file may repeat a name: its second `chair` becomes `chair#2`, in the order of the file. Such numbers do
+//! not identify an object. Objects of a repeated name are therefore paired in three passes: unchanged objects, then
+//! objects of equal shape, then the rest; each pass minimizes the sum of the distances. A repeated group is paired as a
+//! whole. A unique name is paired with the same name.
 
 use super::assign::{MAX_WORK, assign};
 use glam::DVec3;
@@ -172,9 +172,7 @@ impl<'a> Repeat<'a> {
         for Part { rest, object } in parts {
             let path: Vec<&str> = rest.iter().flat_map(|rest| rest.split('/').map(base)).collect();
             let scale = object.object_from_mesh.to_cols_array().map(f64::to_bits);
-            let pose = &object.world_from_object;
-            let numbers = pose.translation.to_array().into_iter().chain(pose.rotation.to_array());
-            let pose: Vec<u64> = numbers.map(f64::to_bits).collect();
+            let pose = object.world_from_object.to_array().map(f64::to_bits);
             shapes.push((path, hashes.of(&object.mesh).0, scale, pose));
             bounds = bounds.union(object.world_bounds());
         }
@@ -233,7 +231,7 @@ fn pair_class<'a, K: Ord>(
 }
 
 /// The column of each row, with the least sum of costs; among equal ones those with most equal names. Large tables are
-/// not searched: each row takes the nearest column that is left, which counts as a tie.
+/// not searched: each row takes the nearest column that is left, and the pairing is a tie.
 fn nearest(rows: &[usize], columns: &[usize], cost: impl Fn(usize, usize) -> (i64, bool)) -> (Vec<usize>, bool) {
     if rows.len().saturating_mul(rows.len()).saturating_mul(columns.len()) > MAX_WORK {
         let mut free: BTreeSet<usize> = (0..columns.len()).collect();

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 /// ```
 /// use presight::Change;
 /// use presight::store::{Edit, ProposedChange};
-/// let edit = Edit::Change(Change::DeleteObject { name: "crate".to_owned() });
+/// let edit = Edit::from(Change::DeleteObject { name: "crate".to_owned() });
 /// let change = ProposedChange::new(edit, "crate is gone", None, Vec::new(), "v1")?;
 /// assert_eq!(change.object(), Some("crate"));
 /// assert!(change.line()?.starts_with(r#"{"cause":"crate is gone","id":"v1-"#));
@@ -50,7 +50,7 @@ pub struct ChangeEvidence {
 #[derive(Clone, Debug)]
 pub enum Edit {
     /// A change that inserts no object.
-    Change(Change),
+    Change(Box<Change>),
     /// Inserts an object.
     Insert {
         /// Full path of the new object.
@@ -97,6 +97,12 @@ pub enum ShapeSource {
         /// Indexes of vertices.
         polygons: Vec<Vec<u32>>,
     },
+}
+
+impl From<Change> for Edit {
+    fn from(change: Change) -> Self {
+        Self::Change(change.into())
+    }
 }
 
 impl Edit {
@@ -160,9 +166,12 @@ impl ProposedChange {
     pub fn object(&self) -> Option<&str> {
         match &self.edit {
             Edit::Insert { object, .. } => Some(object),
-            Edit::Change(Change::DeleteObject { name } | Change::SetPose { name, .. }) => Some(name),
-            Edit::Change(Change::SetMark { mark, .. }) => Some(&mark.object),
-            Edit::Change(_) | Edit::Group(_) => None,
+            Edit::Group(_) => None,
+            Edit::Change(change) => match &**change {
+                Change::DeleteObject { name } | Change::SetPose { name, .. } => Some(name),
+                Change::SetMark { mark, .. } => Some(&mark.object),
+                _ => None,
+            },
         }
     }
 

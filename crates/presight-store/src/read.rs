@@ -2,7 +2,7 @@
 
 use super::hash::{Digest, Hash};
 use super::meshes::{LoadedMesh, known_materials};
-use super::op::{MaterialFields, affine_of, pose_of};
+use super::op::{MaterialFields, affine_of};
 use super::rows::{Meta, feature_hash, from_json, group_hash, layer_hash, material_hash, object_hash};
 use super::schema::{FORMAT, damaged, refusal};
 use glam::DAffine3;
@@ -148,7 +148,7 @@ impl Reader<'_> {
             to.push(ObjectRecord {
                 number,
                 name: name.to_owned(),
-                pose: pose_of(&seven(pose)?)?,
+                pose: Pose::of_numbers(&seven(pose)?)?,
                 object_from_mesh: affine_of(affine.as_deref())?,
                 mesh: rest.0,
                 first_slot,
@@ -162,7 +162,7 @@ impl Reader<'_> {
         self.each("groups", "path, pose, hash", |row| {
             let (path, pose) = (text(row, 0)?, text(row, 1)?);
             self.prove(group_hash(path, pose), get(row, 2)?)?;
-            to.push((path.to_owned(), pose_of(&seven(pose)?)?));
+            to.push((path.to_owned(), Pose::of_numbers(&seven(pose)?)?));
             Ok(())
         })
     }

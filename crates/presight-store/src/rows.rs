@@ -90,10 +90,7 @@ impl Meta {
 
 /// A pose in the form of a row: JSON of x, y, z, qx, qy, qz, qw.
 pub(super) fn pose_text(pose: &Pose) -> String {
-    let mut all = [0.0; 7];
-    all[..3].copy_from_slice(&pose.translation.to_array());
-    all[3..].copy_from_slice(&pose.rotation.to_array());
-    numbers(&all)
+    numbers(&pose.to_array())
 }
 
 /// The columns of an object's row that hold numbers as JSON.

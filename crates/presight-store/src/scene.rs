@@ -131,8 +131,8 @@ impl<'a> Merger<'a> {
             let remedy = "use `Existing::Replace` to replace it with the object of the file, or rename one of the two";
             return Err(Error::invalid(what, remedy).at(format!("object {name:?}")));
         }
-        // An object keeps the numbers of its source triangles, unless the store is to become equal to the scene: one new
-        // object in the file shifts the numbers of all objects behind it.
+        // An object keeps the numbers of its source triangles, unless the store is to become equal to the scene: one
+        // new object in the file shifts the numbers of all objects behind it.
         let same_source = self.existing != Existing::Mirror || present.first_source == object.first_source;
         match (same_shape, same_pose) {
             (true, true) if same_source => return Ok(()),

@@ -32,7 +32,7 @@ pub struct Note {
     pub time: f64,
     /// The caller's own id for the change. Applying the change again with the same id does nothing.
     pub id: Option<String>,
-    /// What speaks for the change, as JSON; the log keeps it.
+    /// Evidence for the change, as JSON; the log keeps it.
     pub evidence: Option<String>,
 }
 
@@ -52,7 +52,7 @@ pub(super) enum RestoreCheck {
     LetBe,
 }
 
-/// How a change is applied, and its further columns in the log.
+/// Options for applying a change, and its further columns in the log.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Entry {
     /// `Some` if features must lie on polygons.

@@ -2,7 +2,7 @@
 
 use presight::files::ImageFile;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_render::plan::{FramePlan, IdScheme, ImageRequest, Images};
@@ -17,7 +17,7 @@ pub struct View {
     /// The sensor.
     pub sensor: Sensor,
     /// The pose of the sensor.
-    pub world_from_sensor: Pose,
+    pub pose: SensorPose,
     /// What the ids of the images count.
     pub ids: IdScheme,
     /// The precision of the images to check.
@@ -34,7 +34,7 @@ pub fn compare(reference: &ImageFile, other: &ImageFile, view: Option<&View>) ->
         None => verify::compare_exactly(a, b),
         Some(view) => {
             let request = ImageRequest { outputs: reference.images.outputs(), ids: view.ids };
-            let plan = FramePlan::new(&view.world, &view.sensor, &view.world_from_sensor, request)?;
+            let plan = FramePlan::new(&view.world, &view.sensor, &view.pose.world_from_sensor(), request)?;
             verify::compare(a, b, &plan, view.precision)
         }
     };

@@ -4,7 +4,7 @@ use super::index::{Scheme, polygon_meets};
 use super::{csv_field, median};
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::index::{Params, QueryResult, Region, SplitAxis};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -135,7 +135,9 @@ impl Study {
                 let request = ImageRequest::default();
                 prediction.push(
                     fastest(self.repeats, || {
-                        predictor.predict_images(world, sensor, pose, request, &mut images).map(|_| ())
+                        predictor
+                            .predict_images(world, sensor, &SensorPose::new(*pose), request, &mut images)
+                            .map(|_| ())
                     })? * 1e3,
                 );
             }

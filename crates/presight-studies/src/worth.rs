@@ -8,7 +8,7 @@
 use glam::DVec3;
 use presight_features::{FeatureOptions, PlacedFeatures, Vantage, informations};
 use presight_model::error::{Error, Result, short};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::index::QueryResult;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -94,7 +94,7 @@ pub fn views(
         let yaw = std::f64::consts::TAU * f64::from(heading) / f64::from(HEADINGS);
         let mount = Pose { translation: DVec3::ZERO, ..sensor.spec().mount };
         let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw) * mount;
-        let seen = predictor.predict(world, sensor, &pose, &request)?.features.unwrap_or_default();
+        let seen = predictor.predict(world, sensor, &SensorPose::new(pose), &request)?.features.unwrap_or_default();
         let vantage = Vantage { world, sensor, world_from_sensor: &pose };
         let mut told: View = informations(&seen, &placed.features, &vantage)
             .into_iter()

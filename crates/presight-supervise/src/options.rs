@@ -3,54 +3,28 @@
 use presight_model::error::{Error, Result};
 use std::time::Duration;
 
-/// Options of a [`Supervisor`](crate::Supervisor).
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct SuperviseOptions {
-    /// Side of the cells, metres.
-    pub cell: f64,
-    /// Width of the smallest intruder that a free cell cannot hide, metres.
-    pub smallest: f64,
-    /// Assumes that objects in the corridor reach the heights that the sensor sees, as safety scanners do.
-    pub is_upright: bool,
-    /// Speed of the robot along the corridor, metres per second.
-    pub speed: f64,
-    /// Standard deviation of the model's surfaces along their normals, metres.
-    pub model_sigma: f64,
-    /// Maximum expected number of chance intrusions in a frame.
-    pub false_alarms: f64,
-    /// Share of arbitrary readings, which are neither right within the noise nor mixed at an edge of the model.
-    pub arbitrary_readings: f64,
-    /// Maximum time for a frame; `None` for no limit.
-    pub deadline: Option<Duration>,
-}
-
-impl Default for SuperviseOptions {
-    fn default() -> Self {
-        Self {
-            cell: 0.1,
-            smallest: 0.07,
-            is_upright: false,
-            speed: 0.0,
-            model_sigma: 0.0,
-            false_alarms: 1e-4,
-            arbitrary_readings: 1e-3,
-            deadline: None,
-        }
+presight_model::options! {
+    /// Options of a [`Supervisor`](crate::Supervisor).
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct SuperviseOptions {
+        /// Side of the cells, metres.
+        cell: f64 = 0.1, with_cell;
+        /// Width of the smallest intruder that a free cell cannot hide, metres.
+        smallest: f64 = 0.07, with_smallest;
+        /// Assumes that objects in the corridor reach the heights that the sensor sees, as safety scanners do.
+        is_upright: bool = false, with_upright;
+        /// Speed of the robot along the corridor, metres per second.
+        speed: f64 = 0.0, with_speed;
+        /// Standard deviation of the model's surfaces along their normals, metres.
+        model_sigma: f64 = 0.0, with_model_sigma;
+        /// Maximum expected number of chance intrusions in a frame.
+        false_alarms: f64 = 1e-4, with_false_alarms;
+        /// Share of arbitrary readings, which are neither right within the noise nor mixed at an edge of the model.
+        arbitrary_readings: f64 = 1e-3, with_arbitrary_readings;
+        /// Maximum time for a frame; `None` for no limit.
+        deadline: Option<Duration> = None, with_deadline;
     }
 }
-
-presight_model::with_options!(
-    SuperviseOptions:
-    with_cell cell: f64,
-    with_smallest smallest: f64,
-    with_upright is_upright: bool,
-    with_speed speed: f64,
-    with_model_sigma model_sigma: f64,
-    with_false_alarms false_alarms: f64,
-    with_arbitrary_readings arbitrary_readings: f64,
-    with_deadline deadline: Option<Duration>,
-);
 
 impl SuperviseOptions {
     /// Checks all values.

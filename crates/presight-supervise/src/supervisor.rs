@@ -11,7 +11,7 @@ use super::state::{CellState, UnseenReason};
 use presight_localize::verdict::{ExpectedImage, Surfaces, Verdict, judge};
 use presight_model::clock::Instant;
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::index::QueryResult;
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::world::World;
@@ -30,7 +30,7 @@ use std::time::Duration;
 /// use presight::simulate::{Disturbances, Simulator};
 /// use presight::supervise::{CellState, SuperviseOptions, Supervisor};
 /// use presight::virtual_sensors::Corridor;
-/// use presight::{Options, Pose, PoseEstimate, Predictor, World};
+/// use presight::{Options, Pose, PoseEstimate, Predictor, RobotPose, World};
 /// use glam::DVec3;
 /// let at = |x: f64, y: f64, z: f64| Pose::from_xyz_rpy(DVec3::new(x, y, z), 0.0, 0.0, 0.0);
 /// let mut environment = Environment::new();
@@ -41,11 +41,11 @@ use std::time::Duration;
 /// let scanner = presight::preset("laser-scanner")?;
 /// let predictor = || Predictor::new(Options::default());
 /// let mut simulator = Simulator::new(predictor()?, scanner, Disturbances::default(), 1)?;
-/// let frame = simulator.frame(&World::new(environment), 0.0, &Pose::IDENTITY)?;
+/// let frame = simulator.frame(&World::new(environment), 0.0, &RobotPose::IDENTITY)?;
 ///
 /// let corridor = Corridor::new(vec![[0.5, 0.0], [3.0, 0.0]], 0.3, -0.1, 0.1)?;
 /// let mut supervisor = Supervisor::new(corridor, SuperviseOptions::default().with_upright(true).with_speed(0.5))?;
-/// let known = PoseEstimate::of_sigmas(Pose::IDENTITY, 0.002, 0.001);
+/// let known = PoseEstimate::of_sigmas(RobotPose::IDENTITY, 0.002, 0.001);
 /// let report = supervisor.supervise(&mut predictor()?, &model, &[&frame], Some(&known))?;
 /// let box_seen = &report.intrusions[0];
 /// assert!((box_seen.nearest.x - 1.4).abs() < 0.05 && report.intrusions.len() == 1);
@@ -162,7 +162,7 @@ impl Supervisor {
         let which = self.rays_of(frame);
         let rays = &self.rays[which];
         let mount = frame.sensor().spec().mount;
-        let unknown = PoseEstimate::exact(Pose::IDENTITY);
+        let unknown = PoseEstimate::exact(RobotPose::IDENTITY);
         let robot = robot.unwrap_or(&unknown);
         let in_world = self.corridor.frame() == CorridorFrame::World;
         let corridor_from_robot = if in_world { robot.world_from_robot } else { Pose::IDENTITY };
@@ -204,22 +204,20 @@ impl Supervisor {
         start: Instant,
     ) -> Result<Comparison> {
         let (sensor, surfaces) = (frame.sensor(), &mut self.surfaces);
-        let world_from_sensor = robot.world_from_sensor(&sensor.spec().mount);
+        let pose = robot.robot().sensor(sensor);
         let mut given_up = Vec::new();
         let expected = match self.options.deadline {
-            None => ExpectedImage::predict(predictor, world, surfaces, sensor, &robot.world_from_robot)?,
+            None => ExpectedImage::predict(predictor, world, surfaces, sensor, &robot.robot())?,
             Some(deadline) => {
                 // Half of the time is reserved for the cells.
                 let left = deadline.saturating_sub(start.elapsed()).max(Duration::from_micros(2)) / 2;
                 let request = Request::of(Outputs::of(&[Output::Range, Output::PolygonId])).with_deadline(left);
-                let predicted = match predictor.predict(world, sensor, &world_from_sensor, &request) {
-                    Err(e) if e.kind() == ErrorKind::Deadline => {
-                        predictor.give_up(world, sensor, &world_from_sensor, &request)?
-                    }
+                let predicted = match predictor.predict(world, sensor, &pose, &request) {
+                    Err(e) if e.kind() == ErrorKind::Deadline => predictor.give_up(world, sensor, &pose, &request)?,
                     predicted => predicted?,
                 };
                 given_up = predicted.not_predicted();
-                ExpectedImage::of_images(predictor, world, surfaces, sensor, &world_from_sensor, &predicted.images)?
+                ExpectedImage::of_images(predictor, world, surfaces, sensor, &pose, &predicted.images)?
             }
         };
         let model_sigma = self.options.model_sigma;

@@ -4,7 +4,7 @@ use super::Random;
 use super::scenes::cuboid;
 use glam::{DVec3, Vec3};
 use presight_model::environment::{Environment, Mesh, NewObject};
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::index::QueryResult;
 use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -132,7 +132,7 @@ pub fn believed(truth: &Pose, [metres, radians]: [f64; 2], random: &mut Random) 
         rotation: (glam::DQuat::from_scaled_axis(turn) * truth.rotation).normalize(),
     };
     let (t, r) = (metres, radians);
-    PoseEstimate::new(pose, PoseCovariance::from_sigmas([t, t, t, r, r, r]))
+    PoseEstimate::new(RobotPose::new(pose), PoseCovariance::from_sigmas([t, t, t, r, r, r]))
 }
 
 /// What rays of the test kit's caster say of an intruder.

@@ -15,7 +15,7 @@ pub type Placed = (Frame, Pose);
 pub fn frames(log: &Path, stride: u32) -> Vec<Placed> {
     let placed = |o: Observation| {
         let frame = o.frame.thinned(stride).unwrap();
-        let pose = o.reference.unwrap() * frame.sensor().spec().mount;
+        let pose = o.reference.unwrap().sensor(frame.sensor()).world_from_sensor();
         (frame, pose)
     };
     Frames::open(log, None, &Default::default()).unwrap().map(|o| placed(o.unwrap())).collect()

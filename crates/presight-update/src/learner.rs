@@ -13,7 +13,7 @@ use crate::evidence::drive::Drive;
 use crate::evidence::features::book::{FeatureViews, KnownFeatures, features_in};
 use crate::evidence::file;
 use crate::evidence::knowledge::Knowledge;
-use crate::evidence::objects::{Evidence, PixelCounts, ViewSums};
+use crate::evidence::objects::{Evidence, ViewSums};
 use crate::observe::compare::Observer;
 use crate::observe::pixels::SampledPixels;
 use crate::options::LearnOptions;
@@ -81,11 +81,6 @@ impl Learner {
     /// The evidence on each object that a believed view supports or contradicts, by name.
     pub fn evidence(&self, world: &World) -> Vec<(String, Evidence)> {
         self.knowledge.of_objects(world.environment())
-    }
-
-    /// Numbers of pixels of believed views whose ray meets an object first, by their evidence. `None` if no ray met it.
-    pub fn pixels(&self, world: &World, object: &str) -> Option<PixelCounts> {
-        self.knowledge.book.pixels.get(&world.environment().index_of(object).ok()?).copied()
     }
 
     /// The options.
@@ -255,6 +250,9 @@ impl Learner {
     /// `base` names the version of the model that the findings refer to. It is part of the ids, so that no change is
     /// applied twice. `utc` is added to the stamps of frames, seconds. The policy selects the findings that change the
     /// model, and the findings that only mark it. Marks that the model has already are left out.
+    ///
+    /// # Errors
+    /// Errors of [`ProposedChange::new`].
     pub fn changes(
         &self,
         findings: &Findings,

@@ -18,7 +18,7 @@ pub use decide::policy::{Action, Policy};
 pub use decide::program::ProgramRecognizer;
 pub use decide::recognize::{Proposal, Recognizer};
 pub use decide::shapes::{Library, LibraryShape, Recognized};
-pub use evidence::objects::{Evidence, PixelCounts};
+pub use evidence::objects::Evidence;
 pub use evidence::voxels::{OccupancyThreshold, Voxel, Voxels};
 pub use learner::{Learner, Tally};
 pub use options::LearnOptions;

@@ -2,70 +2,36 @@
 
 use presight_model::error::{Error, Result};
 
-/// Options of a [`Learner`](crate::Learner).
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct LearnOptions {
-    /// Distance after which a frame is a new view, metres.
-    pub view_distance: f64,
-    /// Rotation after which a frame is a new view, radians.
-    pub view_turn: f64,
-    /// Time after which a frame is a new view, seconds.
-    pub view_time: f64,
-    /// Maximum log-odds that one view adds, natural logarithm.
-    pub max_per_view: f64,
-    /// Minimum number of views for a decision.
-    pub min_views: u32,
-    /// Log-odds at which a decision is made, natural logarithm.
-    pub decisive: f64,
-    /// Minimum share of an object's decided cells that agree with a decision.
-    pub min_agreeing: f64,
-    /// Distance that the robot must drive without getting lost before a view is believed, metres.
-    pub settle: f64,
-    /// Edge of the voxels in which new objects are detected, metres.
-    pub voxel: f64,
-    /// Maximum number of rays of a frame that are compared.
-    pub rays: usize,
-    /// Maximum number of views kept for fitting objects.
-    pub views: usize,
-    /// Standard deviation of the model's surfaces, metres.
-    pub model_sigma: f64,
-}
-
-impl Default for LearnOptions {
-    fn default() -> Self {
-        Self {
-            view_distance: 0.25,
-            view_turn: 10f64.to_radians(),
-            view_time: 60.0,
-            max_per_view: 3.0,
-            min_views: 3,
-            decisive: 9.0,
-            min_agreeing: 0.8,
-            settle: 2.0,
-            voxel: 0.1,
-            rays: 8000,
-            views: 400,
-            model_sigma: 0.0,
-        }
+presight_model::options! {
+    /// Options of a [`Learner`](crate::Learner).
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct LearnOptions {
+        /// Distance after which a frame is a new view, metres.
+        view_distance: f64 = 0.25, with_view_distance;
+        /// Rotation after which a frame is a new view, radians.
+        view_turn: f64 = 10f64.to_radians(), with_view_turn;
+        /// Time after which a frame is a new view, seconds.
+        view_time: f64 = 60.0, with_view_time;
+        /// Maximum log-odds that one view adds, natural logarithm.
+        max_per_view: f64 = 3.0, with_max_per_view;
+        /// Minimum number of views for a decision.
+        min_views: u32 = 3, with_min_views;
+        /// Log-odds at which a decision is made, natural logarithm.
+        decisive: f64 = 9.0, with_decisive;
+        /// Minimum share of an object's decided cells that agree with a decision.
+        min_agreeing: f64 = 0.8, with_min_agreeing;
+        /// Distance that the robot must drive without getting lost before a view is believed, metres.
+        settle: f64 = 2.0, with_settle;
+        /// Edge of the voxels in which new objects are detected, metres.
+        voxel: f64 = 0.1, with_voxel;
+        /// Maximum number of rays of a frame that are compared.
+        rays: usize = 8000, with_rays;
+        /// Maximum number of views kept for fitting objects.
+        views: usize = 400, with_views;
+        /// Standard deviation of the model's surfaces, metres.
+        model_sigma: f64 = 0.0, with_model_sigma;
     }
 }
-
-presight_model::with_options!(
-    LearnOptions:
-    with_view_distance view_distance: f64,
-    with_view_turn view_turn: f64,
-    with_view_time view_time: f64,
-    with_max_per_view max_per_view: f64,
-    with_min_views min_views: u32,
-    with_decisive decisive: f64,
-    with_min_agreeing min_agreeing: f64,
-    with_settle settle: f64,
-    with_voxel voxel: f64,
-    with_rays rays: usize,
-    with_views views: usize,
-    with_model_sigma model_sigma: f64,
-);
 
 impl LearnOptions {
     /// Checks all values.

@@ -16,7 +16,7 @@ use presight_features::{
 };
 use presight_model::environment::{Existence, Feature, FeatureLayer, FeatureShape, Properties};
 use presight_model::environment::{Mesh, NewObject};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Angles, Camera, Distortion, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -75,7 +75,9 @@ fn see_with(
     let options = FeatureOptions::default().with_placed(placed.to_vec()).with_hidden(hidden);
     let outputs = Outputs::of(&[Output::PolygonId, Output::FeatureId]);
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
-    let seen = predictor.predict(world, sensor, pose, &Request::of(outputs).with_features(options)).unwrap();
+    let seen = predictor
+        .predict(world, sensor, &SensorPose::new(*pose), &Request::of(outputs).with_features(options))
+        .unwrap();
     let mut features = seen.features.unwrap();
     features.spell_out(world.environment(), placed);
     FeaturePrediction { feature_id: seen.images.feature_id, ..features }
@@ -242,7 +244,7 @@ fn images_only_save_time() {
                 let options = options.with_visibility(visibility);
                 let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
                 let request = Request::of(outputs).with_features(options);
-                predictor.predict(&world, &sensor, &pose, &request).unwrap().features.unwrap().features
+                predictor.predict(&world, &sensor, &SensorPose::new(pose), &request).unwrap().features.unwrap().features
             };
             let (images, rays) = (by(Visibility::Image), by(Visibility::Rays));
             assert!(images.iter().filter(|f| !f.visible.is_empty()).count() > 10);

@@ -6,6 +6,7 @@ use super::plant::plant;
 use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{FeatureOptions, Hidden, place};
 use presight_model::environment::FeatureLayer;
+use presight_model::geometry::SensorPose;
 use presight_pictures::{Marks, Overlay, write_preview_with};
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
@@ -25,12 +26,12 @@ fn pictures_of_the_plant() {
             let placed = place(&world, &FeatureLayer { features, ..made.clone() }).unwrap();
             let options = FeatureOptions::default().with_placed(placed).with_hidden(Hidden::Count);
             let request = Request::of(Outputs::of(&[Output::Range, Output::PolygonId])).with_features(options);
-            let seen = predictor.predict(&world, &camera, pose, &request).unwrap();
+            let seen = predictor.predict(&world, &camera, &SensorPose::new(*pose), &request).unwrap();
             let overlay = Overlay {
                 features: seen.features.as_ref().unwrap(),
                 sides: &predictor.predict_outlines(&world, &seen).unwrap(),
                 sensor: &camera,
-                world_from_sensor: pose,
+                pose: SensorPose::new(*pose),
                 numbers: false,
             };
             let marks = Marks { overlay: Some(&overlay), ..Marks::default() };

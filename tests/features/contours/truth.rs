@@ -15,7 +15,7 @@ use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{FeatureOptions, PlacedFeature, PlacedFeatures, SeenFeature, place};
 use presight_model::environment::FeatureLayer;
 use presight_model::environment::FeatureShape;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -270,7 +270,12 @@ impl<'a> View<'a> {
         let features = FeatureOptions::default().with_placed(watched.placed.clone());
         let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(features);
         let mut predictor = watched.predictor.borrow_mut();
-        predictor.predict(self.world, self.base, self.pose, &request).unwrap().features.unwrap().features
+        predictor
+            .predict(self.world, self.base, &SensorPose::new(*self.pose), &request)
+            .unwrap()
+            .features
+            .unwrap()
+            .features
     }
 
     fn places(&self, all: Vec<DVec2>) -> Places {

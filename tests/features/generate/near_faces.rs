@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3, Vec3};
 use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{FeatureOptions, Hidden, place};
 use presight_model::environment::{Environment, FeatureShape, NewObject};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Camera, Geometry, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -31,7 +31,8 @@ fn see(environment: Environment, pose: &Pose, edges: &[[DVec3; 2]]) -> Vec<Seen>
     let options = FeatureOptions::default().with_placed(placed).with_hidden(Hidden::Full);
     let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
-    let seen = predictor.predict(&world, &sensor, pose, &request).unwrap().features.unwrap().features;
+    let seen =
+        predictor.predict(&world, &sensor, &SensorPose::new(*pose), &request).unwrap().features.unwrap().features;
     let cover = |[a, b]: &[DVec3; 2]| {
         let (d, length) = ((*b - *a).normalize(), a.distance(*b));
         let on = |p: DVec3| (p - *a - d * (p - *a).dot(d)).length() <= NEAR;

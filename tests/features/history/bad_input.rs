@@ -3,18 +3,12 @@
 use super::simulator::Random;
 use cpu_time::ThreadTime;
 use glam::{DMat2, DVec2};
-use presight_localize::history::{End, ImageExtent, PredictionTrigger, Seed, Tracker, TrackerOptions};
+use presight_localize::history::{End, ImageExtent, Seed, Tracker, TrackerOptions};
 use presight_localize::matching::{Detection, ExpectedProperties, Rejection, Shape};
 use presight_model::error::ErrorKind;
 
 fn seed(id: u32, at: DVec2) -> Seed {
-    Seed {
-        id,
-        shape: Shape::Point(at),
-        covariances: vec![DMat2::IDENTITY],
-        properties: ExpectedProperties::default(),
-        points_world: Vec::new(),
-    }
+    Seed { id, shape: Shape::Point(at), covariances: vec![DMat2::IDENTITY], properties: ExpectedProperties::default() }
 }
 
 fn tracker(seeds: Vec<Seed>) -> Tracker {
@@ -50,19 +44,6 @@ fn equal_and_falling_time_stamps_are_errors_and_change_nothing() {
 }
 
 #[test]
-fn after_a_gap_history_is_discarded() {
-    let mut tracker = tracker(grid());
-    tracker.correct(0.0, &found(&tracker)).unwrap();
-    assert!(tracker.predict(100.0).unwrap().is_empty());
-    let matches = tracker.correct(100.0, &[]).unwrap();
-    assert_eq!(matches.ended.len(), 48);
-    assert!(matches.ended.iter().all(|(_, why)| *why == End::Gap));
-    assert_eq!(tracker.health().wants, Some(PredictionTrigger::Gap));
-    tracker.seed(100.0, grid()).unwrap();
-    assert_eq!(tracker.health().wants, None);
-}
-
-#[test]
 fn non_finite_values_are_refused() {
     let mut tracker = tracker(grid());
     for k in 0..10 {
@@ -87,9 +68,15 @@ fn non_finite_values_are_refused() {
         Seed { covariances: vec![DMat2::from_diagonal(DVec2::new(-1.0, 1.0))], ..seed(101, DVec2::ONE) },
         Seed { covariances: Vec::new(), ..seed(102, DVec2::ONE) },
     ];
-    let seeded = tracker.seed(0.5, bad).unwrap();
-    let (not_finite, covariance, degenerate) = (Rejection::NotFinite, Rejection::Covariance, Rejection::Degenerate);
-    assert_eq!(seeded.refused, [(100, not_finite), (101, covariance), (102, degenerate)]);
+    for (seed, why) in bad.into_iter().zip([
+        "100 cannot be followed: NotFinite",
+        "101 cannot be followed: Covariance",
+        "102 cannot be followed: Degenerate",
+    ]) {
+        let e = tracker.seed(0.5, vec![seed]).unwrap_err();
+        assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains(why), "{e}");
+    }
+    assert_eq!(tracker.tracks().len(), 48, "a refused seed changes nothing");
     assert!(tracker.seed(0.6, vec![seed(1, DVec2::ONE), seed(1, DVec2::ONE)]).is_err(), "one number twice");
 }
 
@@ -119,7 +106,7 @@ fn thousands_of_detections_in_one_window_are_answered_in_time() {
             (0..5000).map(|_| Detection::point(DVec2::new(random.between(x0, x1), random.between(y0, y1)), 0.5)),
         );
         let matches = tracker.correct(0.05 * f64::from(k), &found).unwrap();
-        assert!(matches.matched.len() >= 47 && matches.greedy_groups == 0);
+        assert!(matches.matched.len() >= 47);
         assert_eq!(matches.matched.len() + matches.unmatched.len(), found.len());
     }
     assert!(start.elapsed().as_secs_f64() < 5.0, "{:?}", start.elapsed());
@@ -129,14 +116,12 @@ fn thousands_of_detections_in_one_window_are_answered_in_time() {
 fn thousands_of_features_in_one_place_are_answered_in_time() {
     let place = DVec2::new(300.0, 200.0);
     let mut tracker = tracker((0..2000).map(|i| seed(i, place)).collect());
-    assert!(tracker.health().wants.is_some(), "all in one ninth of the image");
     let mut random = Random(4);
     let start = ThreadTime::now();
     for k in 0..2 {
         let found: Vec<Detection> = (0..2000).map(|_| Detection::point(place + random.normal(), 0.5)).collect();
         let matches = tracker.correct(0.05 * f64::from(k), &found).unwrap();
-        // One is followed, the others wait, and no match is certain.
-        assert_eq!((matches.matched.len(), matches.missed.len()), (0, 1), "{k}");
+        assert!(matches.matched.len() > 1900, "{k}: {}", matches.matched.len());
     }
     assert!(start.elapsed().as_secs_f64() < 20.0, "{:?}", start.elapsed());
 }

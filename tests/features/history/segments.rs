@@ -1,8 +1,9 @@
 //! Edges whose ends slide, in the image of a robot that drives and turns.
 
-use super::simulator::{Disturbance, Edges, HEIGHT, Random, Simulator, TOLD, WIDTH, leg};
+use super::FEWEST;
+use super::simulator::{Disturbance, Edges, Random, Simulator, TOLD, leg};
 use glam::{DMat2, DVec2};
-use presight_localize::history::{ImageExtent, Seed, Tracker, TrackerOptions};
+use presight_localize::history::{Seed, Tracker};
 use presight_localize::matching::{Detection, ExpectedProperties, Shape, UncertainValue};
 use std::f64::consts::PI;
 
@@ -30,10 +31,9 @@ fn edges_are_tracked_across_their_direction() {
         let edges = Edges::new(&mut random, 1500);
         let mut simulator = Simulator::new(round, Disturbance::default());
         let frames = simulator.drive(&[leg(4.0, 0.6, 0.0), leg(3.0, 0.6, 0.25), leg(2.0, 0.6, 0.0)]);
-        let options = TrackerOptions::new(ImageExtent::new(WIDTH, HEIGHT)).with_detection_probability(0.8);
-        let mut tracker = Tracker::new(options).unwrap();
+        let mut tracker = Tracker::new(super::options()).unwrap();
         for frame in &frames {
-            if tracker.health().wants.is_some() {
+            if tracker.tracks().len() < FEWEST {
                 let seed = |id: u32| {
                     Some(Seed {
                         id,
@@ -43,7 +43,6 @@ fn edges_are_tracked_across_their_direction() {
                         },
                         covariances: vec![DMat2::IDENTITY; 2],
                         properties: told(&edges, id),
-                        points_world: Vec::new(),
                     })
                 };
                 tracker.seed(frame.time, (0..1500).filter_map(seed).take(120).collect()).unwrap();

@@ -188,7 +188,6 @@ impl Simulator {
                     } else {
                         ExpectedProperties::default()
                     },
-                    points_world: vec![point.at],
                 });
             }
         }

@@ -1,6 +1,7 @@
 //! Laser: depth images and vertical planes.
 
 use super::*;
+use presight_model::geometry::SensorPose;
 use presight_predict::virtual_sensors::{DepthImage, VerticalPlanes};
 use presight_render::points::{PointCloud, PointsFrame};
 
@@ -28,7 +29,7 @@ fn a_depth_image_is_the_point_cloud_in_the_robots_frame() {
     let (sensor, pose) = (Sensor::new(spec).unwrap(), Pose::from_xyz_rpy(DVec3::new(0.3, 0.2, 1.2), 0.0, 0.0, 1.0));
     let found = depth(&room, &sensor, &pose);
     let images = predict(&room, &sensor, &pose).images;
-    let cloud = PointCloud::new(&images, &sensor, &pose, PointsFrame::Sensor).unwrap();
+    let cloud = PointCloud::new(&images, &sensor, &SensorPose::new(pose), PointsFrame::Sensor).unwrap();
     assert_eq!((found.width, found.height, found.points_robot.len()), (31, 13, cloud.positions().len()));
     let there = cloud.positions().iter().filter(|p| !p.is_nan()).count();
     assert!(found.points == there && there > 0 && there < found.points_robot.len(), "{there} points");

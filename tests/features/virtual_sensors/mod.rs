@@ -13,7 +13,7 @@ use presight_features::{FeaturePrediction, FeatureSettings, PlacedFeature, predi
 use presight_model::environment::{Environment, NewObject};
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Prediction, Predictor};
@@ -55,7 +55,7 @@ fn camera(class: &str, width: u32, height: u32, f: f64) -> SensorSpec {
 
 fn predict(world: &World, sensor: &Sensor, pose: &Pose) -> Prediction {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
-    predictor.predict(world, sensor, pose, &Request::of(Outputs::default())).unwrap()
+    predictor.predict(world, sensor, &SensorPose::new(*pose), &Request::of(Outputs::default())).unwrap()
 }
 
 /// Predicts and reduces.
@@ -100,7 +100,7 @@ fn seen(world: &World, prediction: &Prediction, features: Vec<Feature>) -> Featu
         .into_iter()
         .map(|feature| PlacedFeature { feature: feature.into(), object: None, slots: Vec::new() })
         .collect();
-    let (sensor, pose) = (&prediction.sensor, &prediction.world_from_sensor);
+    let (sensor, pose) = (&prediction.sensor, &prediction.pose.world_from_sensor());
     predict_features(world, sensor, pose, &prediction.images, &placed, &FeatureSettings::default()).unwrap()
 }
 

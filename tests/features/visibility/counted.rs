@@ -9,7 +9,7 @@ use presight_features::{
 };
 use presight_model::environment::NewObject;
 use presight_model::environment::{Existence, Feature, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -72,7 +72,7 @@ fn out_of_view(
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let options = FeatureOptions::default().with_placed(placed.to_vec()).with_hidden(Hidden::Full);
     let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
-    let mut told = predictor.predict(world, sensor, pose, &request).unwrap().features.unwrap();
+    let mut told = predictor.predict(world, sensor, &SensorPose::new(*pose), &request).unwrap().features.unwrap();
     let apart = told.out_of_view.clone();
     assert_eq!((apart.len() + told.features.len(), told.stats.features), (placed.len(), placed.len()), "{name}");
     assert_eq!(told.stats.asked, told.features.len(), "{name}");
@@ -258,7 +258,7 @@ fn a_predictor_adapts_to_changes() {
     let mut count = |world: &World, placed: &presight_features::PlacedFeatures| {
         let features = FeatureOptions::default().with_placed(placed.clone());
         let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(features);
-        predictor.predict(world, &camera, &Pose::IDENTITY, &request).map(|p| p.features.unwrap().given)
+        predictor.predict(world, &camera, &SensorPose::IDENTITY, &request).map(|p| p.features.unwrap().given)
     };
     assert_eq!(count(&world, &one).unwrap(), [] as [u32; 0]);
     // 4 m further ahead, the sensor is past the wall and in front of the edge.

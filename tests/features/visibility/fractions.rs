@@ -8,7 +8,7 @@ use super::common::oracle::Oracle;
 use super::common::{Random, data, env_number};
 use super::{near_edges, seen_length, sensors};
 use presight_features::{FeatureOptions, Hidden, PlacedFeatures};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Geometry, Sensor};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -38,7 +38,8 @@ impl Row {
         let options = FeatureOptions::default().with_placed(placed.clone()).with_hidden(Hidden::Full);
         let request = Request::of(Outputs::of(&[Output::PolygonId])).with_features(options);
         let mut predictor = Predictor::new(Options::new(Backend::Cpu)).unwrap();
-        let mut features = predictor.predict(world, sensor, pose, &request).unwrap().features.unwrap();
+        let mut features =
+            predictor.predict(world, sensor, &SensorPose::new(*pose), &request).unwrap().features.unwrap();
         features.spell_out(world.environment(), &placed.features);
         let oracle = Oracle::new(world.environment(), pose.translation).unwrap();
         let both: Vec<_> = placed.features.iter().zip(&features.features).collect();

@@ -158,7 +158,7 @@ fn objects_in_buffers_without_data_are_left_out_and_listed() {
     assert_eq!(read.report.notices, [expected]);
     g.json["scenes"][0]["nodes"] = json!([2]);
     let e = g.import().unwrap_err().to_string();
-    assert!(e.contains("no polygons; nothing is left of node 2 \"sparse\": buffer 1 has no data; export"), "{e}");
+    assert!(e.contains("no polygons; left out: node 2 \"sparse\": buffer 1 has no data; export"), "{e}");
     // Without its chunk, a .glb is truncated; its JSON alone is a scene without data.
     let mut glb = Gltf::triangle().glb();
     let end = 20 + u32::from_le_bytes(glb[12..16].try_into().unwrap());
@@ -166,7 +166,7 @@ fn objects_in_buffers_without_data_are_left_out_and_listed() {
     glb[8..12].copy_from_slice(&end.to_le_bytes());
     for (bytes, words) in [
         (&glb[..], "buffer 0: it has no data; the file is truncated"),
-        (&glb[20..], "no polygons; nothing is left of node 0 \"a\": buffer 0 has no data; export"),
+        (&glb[20..], "no polygons; left out: node 0 \"a\": buffer 0 has no data; export"),
     ] {
         let e = import_bytes("s", bytes, &SOURCE).unwrap_err().to_string();
         assert!(e.contains(words), "{e}");

@@ -6,7 +6,7 @@ use presight_features::generate::{GenerateOptions, generate};
 use presight_features::{FeatureOptions, Hidden, Reason, SeenFeature, Visibility, place};
 use presight_model::environment::NewObject;
 use presight_model::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
@@ -40,7 +40,7 @@ fn seen(predictor: &mut Predictor, world: &World, from: DVec3, visibility: Visib
     let options = FeatureOptions::default().with_visibility(visibility).with_placed(placed.clone());
     let options = options.with_hidden(Hidden::Full);
     let request = Request::default().with_features(options);
-    let mut seen = predictor.predict(world, &camera, &pose, &request).unwrap().features.unwrap();
+    let mut seen = predictor.predict(world, &camera, &SensorPose::new(pose), &request).unwrap().features.unwrap();
     seen.spell_out(world.environment(), &placed);
     seen.features
 }

@@ -19,7 +19,7 @@ use presight::files::{DepthFolder, ImportOptions, LogFrames, Observation, load_s
 use presight::localize::{Estimator, Freedom, Phase, Step};
 use presight::measured::Frame;
 use presight::verdict::Verdicts;
-use presight::{Backend, Error, Options, Pose, Predictor, Result, Scene, Sensor, Threads};
+use presight::{Backend, Error, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -168,8 +168,8 @@ pub struct Followed {
     pub counts: Vec<[usize; 7]>,
     /// Feature counts, by frame; `None` if no features were searched.
     pub features: Vec<Option<FeatureCounts>>,
-    /// world_from_robot from the log, by frame.
-    pub reference: Vec<Option<Pose>>,
+    /// The robot's pose from the log, by frame.
+    pub reference: Vec<Option<RobotPose>>,
 }
 
 impl Drive {
@@ -202,7 +202,11 @@ impl Drive {
     /// # Errors
     /// Errors from reading the log, map and sensor, and from `visit`.
     #[cfg(feature = "store")]
-    pub fn read(&self, scene: &Scene, mut visit: impl FnMut(&Scene, &Frame, Option<Pose>) -> Result<()>) -> Result<()> {
+    pub fn read(
+        &self,
+        scene: &Scene,
+        mut visit: impl FnMut(&Scene, &Frame, Option<RobotPose>) -> Result<()>,
+    ) -> Result<()> {
         self.check()?;
         for observation in self.observations(&mut self.opened()?, None) {
             let Observation { frame, reference } = observation?;
@@ -345,7 +349,7 @@ impl Drive {
 
     /// Lifts the reference of planar poses, which have no height, to the floor.
     fn on_the_floor(&self, mut observation: Observation) -> Observation {
-        observation.reference.iter_mut().for_each(|pose| pose.translation.z = self.floor);
+        observation.reference = observation.reference.map(|robot| at_height(robot, self.floor));
         observation
     }
 
@@ -369,4 +373,10 @@ fn watching(progress: &ProgressBar) -> impl FnMut(usize, usize) + use<> {
 /// Pixels of each verdict of a step that still has its verdict images.
 pub fn verdict_counts(step: &Step) -> [usize; 7] {
     step.estimate.verdicts.first().map(Verdicts::counts).unwrap_or_default()
+}
+
+/// The pose of a robot with another height, metres.
+pub fn at_height(robot: RobotPose, height: f64) -> RobotPose {
+    let pose = robot.world_from_robot();
+    RobotPose::new(Pose { translation: pose.translation.with_z(height), ..pose })
 }

@@ -8,7 +8,7 @@ use presight::localize::{
     ErrorRates, EstimateOptions, Estimator, LocalizeOptions, Localizer, Preset, Search, SearchOptions,
 };
 use presight::measured::OdometryNoise;
-use presight::{Error, Pose, PoseEstimate, Result, Scene, Sensor};
+use presight::{Error, Pose, PoseEstimate, Result, RobotPose, Scene, Sensor};
 
 impl Drive {
     /// Checks the values of the flags without opening any file.
@@ -36,15 +36,15 @@ impl Drive {
     }
 
     /// The pose of `--init`; `None` for a word.
-    fn given_start(&self) -> Result<Option<Pose>> {
+    fn given_start(&self) -> Result<Option<RobotPose>> {
         match self.init.as_str() {
             "unknown" | "reference" => Ok(None),
-            pose => parse_pose(pose).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
+            pose => parse_pose(pose).map(RobotPose::new).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
         }
     }
 
     /// The start pose; `None` for `--init unknown`.
-    pub(super) fn start(&self, first: &Observation) -> Result<Option<Pose>> {
+    pub(super) fn start(&self, first: &Observation) -> Result<Option<RobotPose>> {
         if self.init != "reference" {
             return self.given_start();
         }
@@ -56,7 +56,7 @@ impl Drive {
     pub(super) fn localizer(
         &self,
         mut estimator: Estimator,
-        start: Option<Pose>,
+        start: Option<RobotPose>,
         scene: &Scene,
         sensor: &Sensor,
         progress: &ProgressBar,

@@ -72,11 +72,11 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         return Err(Error::usage(what, "give column,row inside it"));
     }
     let scene = open_scene(&args.scene, &args.frame.options()?, IndexKind::default())?;
-    let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
+    let pose = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
     let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
     let request = Request::of(Outputs::of(&[Output::PolygonId]));
-    let images = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?.images;
-    let view = PickView { world: &scene.world, sensor: &sensor, pose: &world_from_sensor, images: &images };
+    let images = predictor.predict(&scene.world, &sensor, &pose, &request)?.images;
+    let view = PickView { world: &scene.world, sensor: &sensor, pose: &pose.world_from_sensor(), images: &images };
     let Some(hit) = view.hit(args.pixel) else {
         print::data(&format!("pixel {column},{row} sees nothing\n"))?;
         return Ok(CommandOutcome::Found);

@@ -51,9 +51,8 @@ pub fn write_files(
     let reading = shown.reading.as_ref();
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     if let (Some(path), Some(attributes)) = (&paths.out, attributes) {
-        let world_from_sensor = Some(prediction.world_from_sensor);
         let (given_up, raster) = (prediction.degradation().cloned(), prediction.stats.raster);
-        let attributes = files::ExrAttributes { world_from_sensor, given_up, raster, ..attributes };
+        let attributes = files::ExrAttributes { pose: Some(prediction.pose), given_up, raster, ..attributes };
         files::write_exr(path, images, args.outputs, &attributes)?;
     }
     if let Some(path) = &paths.png {
@@ -61,7 +60,7 @@ pub fn write_files(
             features,
             sides: &shown.sides,
             sensor,
-            world_from_sensor: &prediction.world_from_sensor,
+            pose: prediction.pose,
             numbers: args.layers.numbers(),
         });
         let mark = reading.and_then(VirtualReading::mask);
@@ -79,7 +78,7 @@ pub fn write_files(
             PointsFrameArg::Sensor => PointsFrame::Sensor,
             PointsFrameArg::World => PointsFrame::World,
         };
-        let cloud = PointCloud::new(images, sensor, &prediction.world_from_sensor, frame)?.only(args.outputs);
+        let cloud = PointCloud::new(images, sensor, &prediction.pose, frame)?.only(args.outputs);
         let cloud = match args.normals() {
             true if !args.outputs.has(Output::Normal) => {
                 cloud.with_normals(scene.world.environment(), args.scheme())?
@@ -99,7 +98,7 @@ pub fn attributes(args: &Args, scene: &Scene, sensor: &Sensor) -> Result<files::
     let objects = scene.world.environment().objects();
     Ok(files::ExrAttributes {
         sensor: Some(files::sensor_to_toml(sensor.spec())),
-        world_from_sensor: None,
+        pose: None,
         scene: Some(args.scene.display().to_string()),
         scene_blake3: Some(blake3_of(&args.scene)?),
         scene_content: Some(scene.world.environment().content_hash().to_string()),

@@ -16,31 +16,31 @@ use std::time::Instant;
 /// # Errors
 /// Errors from reading the scene, from the engine, and from writing files.
 pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
-    let (sensor, pose) = (job.sensors.remove(0), job.poses.given()[0].1);
+    let (sensor, given) = (job.sensors.remove(0), job.poses.given()[0].1);
     let request = args.request(&sensor)?;
     let mut predictor = Predictor::new(job.options)?;
     args.deadline.read_costs(&mut predictor)?;
     let frame = args.memory(&sensor, &request, &predictor);
     tools::require(frame.bytes())?;
     let scene = args.open(&job.import)?;
-    let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
+    let pose = given.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
     let mut layers = args.layers.load(&scene, &sensor, args.asked())?;
     if let Some(layers) = &mut layers {
-        layers.move_to(&pose, &sensor, &world_from_sensor, &scene);
+        layers.move_to(&given, &sensor, &pose, &scene);
         sensor.check_projection().map_err(|e| e.in_file(args.sensor.as_deref().unwrap_or_default()))?;
     }
     let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request));
-    let settings = args.virtual_sensor.settings(&scene, &sensor, &world_from_sensor, &mut predictor)?;
+    let settings = args.virtual_sensor.settings(&scene, &sensor, &pose, &mut predictor)?;
     // Check again: the scene has taken some of the memory.
     tools::require(frame.bytes())?;
     let start = Instant::now();
-    let mut prediction = predictor.predict(&scene.world, &sensor, &world_from_sensor, &request)?;
+    let mut prediction = predictor.predict(&scene.world, &sensor, &pose, &request)?;
     let first_ms = start.elapsed().as_secs_f64() * 1e3;
     let (mut times_ms, mut runs): (Vec<f64>, Vec<Stats>) = Default::default();
     let repeat = args.repeat.unwrap_or(u32::from(args.stats.is_some()));
     for _ in 0..repeat {
         let start = Instant::now();
-        predictor.predict_again(&scene.world, &world_from_sensor, &mut prediction)?;
+        predictor.predict_again(&scene.world, &pose, &mut prediction)?;
         times_ms.push(start.elapsed().as_secs_f64() * 1e3);
         runs.push(prediction.stats.clone());
     }

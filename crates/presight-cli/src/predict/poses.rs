@@ -209,30 +209,28 @@ impl Series<'_> {
         &self,
         predictor: &mut Predictor,
         setup: &mut Setup,
-        pose: &ExternalPose,
+        given: &ExternalPose,
         spare: Option<Prediction>,
     ) -> Result<Frame> {
         let Self { args, scene, .. } = *self;
         let Setup { sensor, request, layers, attributes } = setup;
-        let world_from_sensor = pose.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
+        let pose = given.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
         if let Some(layers) = layers {
-            layers.move_to(pose, sensor, &world_from_sensor, scene);
+            layers.move_to(given, sensor, &pose, scene);
         }
         let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request.clone()));
-        let settings = args.virtual_sensor().settings(scene, sensor, &world_from_sensor, predictor)?;
+        let settings = args.virtual_sensor().settings(scene, sensor, &pose, predictor)?;
         let start = Instant::now();
         let predicted = match spare {
-            None => predictor.predict(&scene.world, sensor, &world_from_sensor, &request),
+            None => predictor.predict(&scene.world, sensor, &pose, &request),
             Some(mut prediction) => {
                 prediction.request.clone_from(&request);
-                predictor.predict_again(&scene.world, &world_from_sensor, &mut prediction).map(|()| prediction)
+                predictor.predict_again(&scene.world, &pose, &mut prediction).map(|()| prediction)
             }
         };
         let mut prediction = match predicted {
             // One frame without enough time does not end the series.
-            Err(e) if e.kind() == ErrorKind::Deadline => {
-                predictor.give_up(&scene.world, sensor, &world_from_sensor, &request)?
-            }
+            Err(e) if e.kind() == ErrorKind::Deadline => predictor.give_up(&scene.world, sensor, &pose, &request)?,
             other => other?,
         };
         let ms = start.elapsed().as_secs_f64() * 1e3;

@@ -17,7 +17,8 @@ pub struct Questions<'a> {
 /// A planned view in words; empty for none.
 pub fn look_from(view: Option<&PlannedView>) -> String {
     view.map_or_else(String::new, |view| {
-        let (t, (_, _, yaw)) = (view.world_from_sensor.translation, view.world_from_sensor.rpy());
+        let pose = view.pose.world_from_sensor();
+        let (t, (_, _, yaw)) = (pose.translation, pose.rpy());
         let PlannedView { sensor, odds, .. } = view;
         let yaw = yaw.to_degrees();
         format!(
@@ -30,7 +31,8 @@ pub fn look_from(view: Option<&PlannedView>) -> String {
 /// The line of a question.
 fn line(object: Value, why: &str, view: Option<&PlannedView>) -> String {
     let mut value = json!({"object": object, "why": why});
-    if let Some(PlannedView { sensor, world_from_sensor: pose, odds }) = view {
+    if let Some(PlannedView { sensor, pose, odds }) = view {
+        let pose = pose.world_from_sensor();
         let numbers: Vec<f64> = pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect();
         value["look_from"] = json!({"sensor": sensor, "pose": numbers, "log_odds": (10.0 * odds).round() / 10.0});
     }

@@ -20,7 +20,7 @@ use presight::measured::Frame;
 use presight::store::ProposedChange;
 use presight::tools::write_atomically;
 use presight::update::{Action, Finding, FindingKind, Findings, LearnOptions, Learner, Policy};
-use presight::{Error, InWorld, PoseCovariance, PoseEstimate, Result, Scene, World};
+use presight::{Error, InWorld, PoseCovariance, PoseEstimate, Result, RobotPose, Scene, World};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -286,7 +286,9 @@ fn follow_known(
         *last = frame.stamp;
         let at = poses.iter().min_by(|a, b| (a.time - frame.stamp).abs().total_cmp(&(b.time - frame.stamp).abs()));
         match at.filter(|stamped| (stamped.time - frame.stamp).abs() < 1e-3) {
-            Some(at) => learner.observe_at(&scene.world, &[frame], &PoseEstimate::new(at.pose, *covariance)),
+            Some(at) => {
+                learner.observe_at(&scene.world, &[frame], &PoseEstimate::new(RobotPose::new(at.pose), *covariance))
+            }
             None => {
                 without += 1;
                 Ok(())

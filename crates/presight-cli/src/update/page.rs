@@ -126,9 +126,9 @@ impl Page<'_> {
         let mut predicted = [Images::default(), Images::default()];
         for (world, images) in [&without, &self.scene.world].into_iter().zip(&mut predicted) {
             let range = Outputs::of(&[Output::Range]);
-            predictor.predict_images(world, sensor, &view.world_from_sensor, range, images)?;
+            predictor.predict_images(world, sensor, &view.pose, range, images)?;
         }
-        let sensor_from_world = view.world_from_sensor.inverse();
+        let sensor_from_world = view.pose.world_from_sensor().inverse();
         let corners = doubt.corners(self.scene.world.environment()).into_iter();
         let around: Vec<DVec3> = corners.map(|p| sensor_from_world.transform_point(p)).collect();
         let panels = [("without it", &predicted[0]), ("with it", &predicted[1])]
@@ -179,9 +179,9 @@ impl Page<'_> {
         let mut predicted = [Images::default(), Images::default()];
         for (world, images) in [without, &with].into_iter().zip(&mut predicted) {
             let range = Outputs::of(&[Output::Range]);
-            predictor.predict_images(world, sensor, &view.world_from_sensor, range, images)?;
+            predictor.predict_images(world, sensor, &view.pose, range, images)?;
         }
-        let sensor_from_world = view.world_from_sensor.inverse();
+        let sensor_from_world = view.pose.world_from_sensor().inverse();
         let around = finding.corners(self.scene.world.environment()).into_iter();
         let around: Vec<DVec3> = around.map(|p| sensor_from_world.transform_point(p)).collect();
         let panels = [

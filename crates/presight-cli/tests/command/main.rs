@@ -185,7 +185,7 @@ fn a_prediction_is_written_with_its_provenance() {
     assert_eq!(attributes.objects.get(&1).map(String::as_str), Some("wall"));
     assert_eq!(attributes.scene.as_deref(), Some("wall.glb"));
     assert_eq!(attributes.scene_blake3.map(|hash| hash.len()), Some(64));
-    assert_eq!(attributes.world_from_sensor.unwrap().translation.to_array(), [0.0, 0.0, 1.0]);
+    assert_eq!(attributes.pose.unwrap().world_from_sensor().translation.to_array(), [0.0, 0.0, 1.0]);
     fs::write(place.path("again.toml"), attributes.sensor.unwrap()).unwrap();
     place.done("predict wall.glb --sensor again.toml --pose 0,0,1,0,0,0 --backend cpu --out b.exr");
     let (a, b) = (place.images("a.exr").images, place.images("b.exr").images);

@@ -82,7 +82,7 @@ fn all_sensors_of_a_robot_predict_from_its_pose() {
     place.done(&format!("{line} --poses drive.tum --out run/{{sensor}}.{{i}}.exr --rays {{sensor}}.rays.npy"));
     assert_eq!(in_run(&place).len(), 6);
     let front = files::read_exr(&place.path("run/front.0.exr")).unwrap();
-    assert_eq!(front.attributes.world_from_sensor.unwrap().translation.to_array(), [0.5, 0.0, 1.2]);
+    assert_eq!(front.attributes.pose.unwrap().world_from_sensor().translation.to_array(), [0.5, 0.0, 1.2]);
     let scan = files::read_exr(&place.path("run/laser-scanner.0.exr")).unwrap();
     assert_eq!((scan.images.width, scan.images.range[180]), (361, 2.0));
     assert!(place.path("front.rays.npy").exists());

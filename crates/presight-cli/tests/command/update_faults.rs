@@ -3,9 +3,9 @@
 use super::update::{CHANGE, LIDAR, POSES, changes, drive, room, site, site_of};
 use super::{Outcome, Place};
 use glam::{DVec3, Vec3};
-use presight::Pose;
 use presight::environment::{Appearance, Environment, Material, Mesh, NewObject};
 use presight::store;
+use presight::{Pose, RobotPose};
 use serde_json::{Value, json};
 use std::fs;
 
@@ -204,7 +204,7 @@ fn a_robot_that_turns_in_place_keeps_few_views() {
     let mut learner = Learner::new(LearnOptions::default().with_views(10)).unwrap();
     for turn in 0..50 {
         let pose = Pose::from_xyz_rpy(DVec3::new(1.0, 2.6, 0.0), 0.0, 0.0, 0.3 * f64::from(turn));
-        learner.observe_at(&world, &[&frame], &PoseEstimate::of_sigmas(pose, 0.005, 0.002)).unwrap();
+        learner.observe_at(&world, &[&frame], &PoseEstimate::of_sigmas(RobotPose::new(pose), 0.005, 0.002)).unwrap();
     }
     assert_eq!((learner.tally().views, learner.tally().discarded), (50, 40));
 }

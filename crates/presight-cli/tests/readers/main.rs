@@ -2,7 +2,7 @@
 #![cfg(unix)]
 
 mod clouds;
-mod first_hour;
+mod guides;
 mod upright;
 
 use assert_cmd::cargo::CommandCargoExt;

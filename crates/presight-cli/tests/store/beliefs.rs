@@ -7,7 +7,7 @@ use presight::predict::{BatchRequest, PoseCell, RangeLikelihood};
 use presight::store;
 use presight::store::Store;
 use presight::verdict::{Verdict, of_frame};
-use presight::{Backend, Change, Options, Pose, PoseEstimate, Predictor, Request, World};
+use presight::{Backend, Change, Options, Pose, PoseEstimate, Predictor, Request, RobotPose, SensorPose, World};
 use std::path::Path;
 
 const LINES: &str = r#"{"op":"set_mark","mark":"door","object":"a","kind":"uncertain","box":[[0,0,0],[1,1,2]],"id":"m1","evidence":{"views":4,"L":-9.5}}
@@ -147,14 +147,14 @@ fn absent_marks_hide_for_their_class_in_images_and_in_batches() {
     ];
     for (mark, class, range) in cases {
         let (world, sensor) = (marked(mark), scanner(class));
-        let images = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default()).unwrap().images;
+        let images = predictor.predict(&world, &sensor, &SensorPose::IDENTITY, &Request::default()).unwrap().images;
         assert!((f64::from(images.range[5]) - range).abs() < 1e-5, "{mark:?} for {class}: {}", images.range[5]);
         // The likelihood of a batch comes from a cut of the world: it is greatest at the predicted ranges.
         let weigh = |z: f64, predictor: &mut Predictor| {
             let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(vec![z as f32; 11])).unwrap();
             let likelihood = Some(RangeLikelihood::new(&frame, PoseCell::default()).unwrap());
             let request = BatchRequest { likelihood, ..BatchRequest::default() };
-            let mut items = predictor.batch(&world, &sensor, vec![Pose::IDENTITY], &request).unwrap();
+            let mut items = predictor.batch(&world, &sensor, vec![SensorPose::IDENTITY], &request).unwrap();
             items.next().unwrap().unwrap().log_likelihood.unwrap()
         };
         let best = [3.0, 4.0, 8.0].map(|z| (weigh(z, &mut predictor), z));
@@ -166,7 +166,7 @@ fn absent_marks_hide_for_their_class_in_images_and_in_batches() {
 #[test]
 fn verdicts_on_uncertain_parts_are_undecidable() {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
-    let known = PoseEstimate::of_sigmas(Pose::IDENTITY, 1e-3, 1e-4);
+    let known = PoseEstimate::of_sigmas(RobotPose::IDENTITY, 1e-3, 1e-4);
     let mut judge = |world: &World, z: f32| {
         let frame = Frame::new(0.0, scanner("laser"), Measurement::Range(vec![z; 11])).unwrap();
         of_frame(&mut predictor, world, &frame, &known).unwrap().pixels[5]

@@ -7,7 +7,7 @@ use presight::environment::{Aabb, Environment, Mark, MarkKind, NewObject};
 use presight::features::Existence;
 use presight::store;
 use presight::store::Store;
-use presight::{Backend, Change, Options, Pose, PoseCovariance, Predictor, Request, World};
+use presight::{Backend, Change, Options, Pose, PoseCovariance, Predictor, Request, SensorPose, World};
 use presight_studies::index::Scheme;
 use proptest::prelude::*;
 use std::collections::HashMap;
@@ -92,7 +92,7 @@ fn seen(world: &World) -> Vec<(u32, Option<(String, u32)>)> {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
     let sensor = presight::preset("laser-range-camera").unwrap();
     let pose = Pose::from_xyz_rpy(DVec3::new(0.1, 0.2, 2.0), 0.0, 0.2, 0.1);
-    let images = predictor.predict(world, &sensor, &pose, &Request::default()).unwrap().images;
+    let images = predictor.predict(world, &sensor, &SensorPose::new(pose), &Request::default()).unwrap().images;
     let environment = world.environment();
     let polygon = |id: u32| {
         let (object, polygon) = environment.locate(id.checked_sub(1)?)?;

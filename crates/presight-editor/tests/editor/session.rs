@@ -3,7 +3,7 @@
 use super::{POSE, ask, parts, refusal, scene, session_of, session_with, step};
 use presight::features::{GenerateOptions, generate};
 use presight::files;
-use presight::{Backend, Options, Pose, Predictor, Request, Scene};
+use presight::{Backend, Options, Pose, Predictor, Request, Scene, SensorPose};
 use presight_editor::{Answer, Session};
 use presight_studies::worth::{Worth, WorthOptions};
 use serde_json::{Value, json};
@@ -53,7 +53,7 @@ fn frames_have_the_bits_of_predictions() {
     let [roll, pitch, yaw] = [roll, pitch, yaw].map(f64::to_radians);
     let pose = Pose::from_xyz_rpy(glam::DVec3::new(x, y, z), roll, pitch, yaw);
     let mut predictor = Predictor::new(Options::new(Backend::Cpu)).unwrap();
-    let images = predictor.predict(&room.world, &sensor, &pose, &Request::default()).unwrap().images;
+    let images = predictor.predict(&room.world, &sensor, &SensorPose::new(pose), &Request::default()).unwrap().images;
     let range: Vec<u8> = images.range.iter().flat_map(|r| r.to_le_bytes()).collect();
     assert_eq!(told["seq"], 7);
     assert!(bytes[..range.len()] == range[..]);

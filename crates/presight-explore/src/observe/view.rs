@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3, Vec3};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::Sensor;
 use std::sync::Arc;
@@ -22,8 +22,8 @@ struct Optics {
 pub struct View {
     /// Time stamp in the log, seconds.
     pub stamp: f64,
-    /// world_from_sensor, body axes.
-    pub world_from_sensor: Pose,
+    /// The sensor's pose.
+    pub pose: SensorPose,
     /// Metres along each ray, row by row: infinite for a ray without a return, NaN without a measurement.
     pub ranges: Vec<f32>,
     optics: Arc<Optics>,
@@ -47,7 +47,8 @@ impl Views {
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] for a pose that is not rigid; [`presight_model::ErrorKind::Invalid`] for a
     /// grey image.
-    pub fn push(&mut self, frame: &Frame, world_from_sensor: Pose) -> Result<()> {
+    pub fn push(&mut self, frame: &Frame, pose: SensorPose) -> Result<()> {
+        let world_from_sensor = pose.world_from_sensor();
         world_from_sensor.check()?;
         if frame.grey().is_some() {
             return Err(Error::invalid("a grey image shows no distances", "give a log of ranges or depths"));
@@ -63,7 +64,7 @@ impl Views {
         // An infinite range stays: that ray passed through free space.
         let hit = |r: &f32| if *r > 0.0 { *r } else { f32::NAN };
         let ranges = frame.ranges().iter().map(hit).collect();
-        self.views.push(View { stamp: frame.stamp, world_from_sensor, ranges, optics, rotation, origin });
+        self.views.push(View { stamp: frame.stamp, pose, ranges, optics, rotation, origin });
         Ok(())
     }
 
@@ -81,9 +82,10 @@ impl Views {
     pub(crate) fn moved(self, by: &Pose) -> Self {
         let base = (*by * Pose { translation: self.base, ..Pose::IDENTITY }).translation.round();
         let moved = |view: View| {
-            let world_from_sensor = *by * view.world_from_sensor;
+            let world_from_sensor = *by * view.pose.world_from_sensor();
             let rotation = world_from_sensor.rotation_matrix() * view.sensor().body_from_image();
-            View { world_from_sensor, rotation, origin: world_from_sensor.translation - base, ..view }
+            let pose = SensorPose::new(world_from_sensor);
+            View { pose, rotation, origin: world_from_sensor.translation - base, ..view }
         };
         Self { base, views: self.views.into_iter().map(moved).collect() }
     }

@@ -98,7 +98,7 @@ pub(crate) fn compare(
     let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
     let mut images = Images::default();
     for (at, view) in views.all().iter().enumerate() {
-        predictor.predict_images(world, view.sensor(), &view.world_from_sensor, outputs, &mut images)?;
+        predictor.predict_images(world, view.sensor(), &view.pose, outputs, &mut images)?;
         for pixel in 0..view.ranges.len() {
             let (predicted, measured, id) = (images.range[pixel], view.ranges[pixel], images.polygon_id[pixel]);
             if id > 0 && predicted.is_finite() && !measured.is_nan() {

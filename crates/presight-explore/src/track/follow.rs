@@ -7,7 +7,7 @@ use crate::observe::Views;
 use crate::surface::ExploreOptions;
 use presight_model::environment::Environment;
 use presight_model::error::{ErrorKind, Result};
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{sandwich, turn};
 use presight_model::measured::Frame;
 
@@ -21,7 +21,7 @@ pub struct Follower {
     options: ExploreOptions,
     /// The known model, which the first frame takes.
     known: Option<(Environment, Known)>,
-    start: Pose,
+    start: RobotPose,
     /// The group of the first frame, and those not yet connected to it.
     groups: Vec<Group>,
     /// Index of the group that is followed.
@@ -37,7 +37,7 @@ pub struct Follower {
 pub struct FoundPose {
     /// Time stamp, seconds.
     pub stamp: f64,
-    /// world_from_robot, with a covariance that includes the drift since the first frame.
+    /// The robot's pose, with a covariance that includes the drift since the first frame.
     pub pose: PoseEstimate,
 }
 
@@ -46,11 +46,11 @@ impl Follower {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::System`] without threads.
-    pub fn new(world_from_robot: Pose, known: Environment, kind: Known, options: &ExploreOptions) -> Result<Self> {
+    pub fn new(robot: RobotPose, known: Environment, kind: Known, options: &ExploreOptions) -> Result<Self> {
         Ok(Self {
             options: options.clone().with_polygons(options.polygons.min(POLYGONS)),
             known: Some((known, kind)),
-            start: world_from_robot,
+            start: robot,
             groups: Vec::new(),
             current: 0,
             searcher: Searcher::new(options)?,
@@ -82,7 +82,7 @@ impl Follower {
             self.merge()?;
         }
         let group = &self.groups[0];
-        let pose = found.filter(|_| is_first).map(|pose| PoseEstimate::new(pose.world_from_robot, group.drift()));
+        let pose = found.filter(|_| is_first).map(|pose| PoseEstimate::new(pose.robot(), group.drift()));
         Ok(pose.map(|pose| FoundPose { stamp: frame.stamp, pose }))
     }
 
@@ -96,7 +96,7 @@ impl Follower {
     /// Starts another group, whose frame of reference is independent of the first group.
     fn begin(&mut self, frame: &Frame) -> Result<()> {
         let empty = (Environment::new(), Known::Explored);
-        match Group::new(frame, Pose::IDENTITY, empty, &self.options) {
+        match Group::new(frame, RobotPose::IDENTITY, empty, &self.options) {
             Ok(group) => {
                 self.groups.push(group);
                 self.follow(self.groups.len() - 1);
@@ -172,5 +172,5 @@ fn inverse(pose: &PoseEstimate) -> PoseEstimate {
     let inverse = pose.world_from_robot.inverse();
     let at_origin = pose.covariance.moved_by(-pose.world_from_robot.translation);
     let rows = sandwich(&turn(inverse.rotation), at_origin.as_rows());
-    PoseEstimate::new(inverse, PoseCovariance::from_rows(rows))
+    PoseEstimate::new(RobotPose::new(inverse), PoseCovariance::from_rows(rows))
 }

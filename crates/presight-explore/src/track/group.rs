@@ -9,7 +9,7 @@ use presight_localize::localize::{LocalizeOptions, Localizer, Phase};
 use presight_localize::verdict::Verdict;
 use presight_model::environment::Environment;
 use presight_model::error::Result;
-use presight_model::geometry::{InWorld, Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{InWorld, Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, sandwich, turn};
 use presight_model::measured::Frame;
 use presight_model::world::World;
@@ -51,12 +51,12 @@ impl Searcher {
 
     /// The pose of the robot at a frame, with another pose as the prior; `None` if it is not found.
     fn find(&mut self, world: &World, frame: &Frame, near: Pose) -> Result<Option<PoseEstimate>> {
-        let prior = PoseEstimate::of_sigmas(near, REACH.0, REACH.1);
+        let prior = PoseEstimate::of_sigmas(RobotPose::new(near), REACH.0, REACH.1);
         let first = self.quick.estimate(world, &[frame], &prior)?;
         if first.explained < PROMISING {
             return Ok(None);
         }
-        let prior = PoseEstimate::of_sigmas(first.pose.world_from_robot, 0.5 * REACH.0, 0.5 * REACH.1);
+        let prior = PoseEstimate::of_sigmas(first.pose.robot(), 0.5 * REACH.0, 0.5 * REACH.1);
         Ok(accepted(&self.full.estimate(world, &[frame], &prior)?))
     }
 }
@@ -79,7 +79,7 @@ fn accepted(estimate: &Estimate) -> Option<PoseEstimate> {
 }
 
 fn robot_pose(view: &View) -> Pose {
-    view.world_from_sensor * view.sensor().spec().mount.inverse()
+    view.pose.robot(view.sensor()).world_from_robot()
 }
 
 /// The model of a group, with the localizer that follows the group in it.
@@ -112,7 +112,7 @@ impl Group {
     /// A group of one frame at the given pose of the robot.
     pub fn new(
         frame: &Frame,
-        world_from_robot: Pose,
+        robot: RobotPose,
         (known, kind): (Environment, Known),
         options: &ExploreOptions,
     ) -> Result<Self> {
@@ -124,17 +124,17 @@ impl Group {
             model: None,
             used: (0, 0),
             covariance: PoseCovariance::ZERO,
-            centre: world_from_robot.translation,
+            centre: robot.world_from_robot().translation,
             last: PoseCovariance::ZERO,
-            found: world_from_robot,
+            found: robot.world_from_robot(),
         };
-        group.push(frame, &PoseEstimate::exact(world_from_robot))?;
+        group.push(frame, &PoseEstimate::exact(robot))?;
         group.build(options)?;
         Ok(group)
     }
 
     fn push(&mut self, frame: &Frame, pose: &PoseEstimate) -> Result<()> {
-        self.views.push(frame, pose.world_from_robot * frame.sensor().spec().mount)?;
+        self.views.push(frame, pose.robot().sensor(frame.sensor()))?;
         (self.found, self.last) = (pose.world_from_robot, pose.covariance);
         self.add_place(self.views.all().len() - 1);
         Ok(())
@@ -175,7 +175,7 @@ impl Group {
     ) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, localizer }) = &mut self.model else { return Ok(None) };
         let Some(pose) = by.find(world, frame, self.found)? else { return Ok(None) };
-        *localizer = started(world, frame, pose.world_from_robot, options)?;
+        *localizer = started(world, frame, pose.robot(), options)?;
         self.push(frame, &pose)?;
         Ok(Some(pose))
     }
@@ -198,7 +198,7 @@ impl Group {
         let world = World::new(found.environment().clone());
         let localizer = match (self.model.take(), self.views.all().last()) {
             (Some(model), _) => model.localizer,
-            (None, Some(last)) => started(&world, &last.frame()?, self.found, options)?,
+            (None, Some(last)) => started(&world, &last.frame()?, RobotPose::new(self.found), options)?,
             (None, None) => return Ok(()),
         };
         self.model = Some(Model { world, localizer });
@@ -229,7 +229,10 @@ impl Group {
                 if let Some(pose) = by.find(world, &view.frame()?, near)? {
                     let own_from_other = pose.world_from_robot * robot_pose(view).inverse();
                     let lever = own_from_other.translation - pose.world_from_robot.translation;
-                    return Ok(Some(PoseEstimate::new(own_from_other, pose.covariance.moved_by(lever))));
+                    return Ok(Some(PoseEstimate::new(
+                        RobotPose::new(own_from_other),
+                        pose.covariance.moved_by(lever),
+                    )));
                 }
             }
         }
@@ -284,8 +287,8 @@ fn sum(a: &PoseCovariance<InWorld>, b: &PoseCovariance<InWorld>) -> PoseCovarian
 }
 
 /// A localizer after its first frame, at the given pose. It has a time stamp from then on, and predicts the motion until the next frame.
-fn started(world: &World, frame: &Frame, world_from_robot: Pose, options: &ExploreOptions) -> Result<Localizer> {
-    let start = PoseEstimate::of_sigmas(world_from_robot, START_SIGMA, START_SIGMA);
+fn started(world: &World, frame: &Frame, robot: RobotPose, options: &ExploreOptions) -> Result<Localizer> {
+    let start = PoseEstimate::of_sigmas(robot, START_SIGMA, START_SIGMA);
     let estimator = estimator(options, EstimateOptions::default())?;
     let mut localizer = Localizer::new(estimator, start, LocalizeOptions::default());
     localizer.step(world, frame)?;

@@ -5,7 +5,7 @@ use glam::Vec3;
 use presight_explore::{Exploration, ExploreOptions, Known, MAX_MARKS, Views};
 use presight_model::environment::{Appearance, Environment, Mark, MarkKind, Material, NewObject};
 use presight_model::error::ErrorKind;
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
 use presight_testkit::Random;
@@ -45,7 +45,9 @@ fn nothing_flat_is_an_error_or_next_to_nothing() {
     let mut views = Views::default();
     for (k, pose) in ahead(5).enumerate() {
         let ranges = (0..96 * 72).map(|_| random.uniform(1.0, 7.0) as f32).collect();
-        views.push(&Frame::new(k as f64, sensor.clone(), Measurement::Range(ranges)).unwrap(), pose).unwrap();
+        views
+            .push(&Frame::new(k as f64, sensor.clone(), Measurement::Range(ranges)).unwrap(), SensorPose::new(pose))
+            .unwrap();
     }
     match Exploration::of(&Environment::new(), Known::Explored, &views, &ExploreOptions::default()) {
         Err(e) => assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains("nothing flat"), "{e}"),
@@ -63,7 +65,7 @@ fn a_scan_of_leaves_becomes_no_wall() {
     let share = |ranges: Vec<f32>| {
         let mut views = Views::default();
         let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(ranges)).unwrap();
-        views.push(&frame, Pose::IDENTITY).unwrap();
+        views.push(&frame, SensorPose::IDENTITY).unwrap();
         let found = explore(&Environment::new(), Known::Explored, &views);
         found.areas.surface / (found.areas.surface + found.areas.unseen)
     };

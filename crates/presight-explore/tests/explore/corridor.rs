@@ -2,6 +2,7 @@
 
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
 use presight_model::environment::{Environment, MarkKind};
+use presight_model::geometry::SensorPose;
 use presight_testkit::judge::{frames, judge};
 
 #[test]
@@ -10,7 +11,7 @@ fn two_hundred_walls_predict_the_other_run() {
     let run = presight_testkit::data::file("lidar2d/malaga_corridor_run_scans.json").unwrap();
     let mut views = Views::default();
     for (frame, pose) in frames(&log, 1) {
-        views.push(&frame, pose).unwrap();
+        views.push(&frame, SensorPose::new(pose)).unwrap();
     }
     let options = ExploreOptions::default().with_polygons(200).with_floor(-1.0);
     let found = Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap();

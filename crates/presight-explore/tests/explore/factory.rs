@@ -3,6 +3,7 @@
 use super::factory_drive::{drive, scenes};
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
 use presight_model::environment::Environment;
+use presight_model::geometry::SensorPose;
 use presight_testkit::judge::{Placed, judge, sights};
 use presight_testkit::oracle::Oracle;
 
@@ -44,7 +45,7 @@ fn machines_known_as_boxes_are_corrected_and_keep_their_paths() {
     let [real, rough] = scenes();
     let mut views = Views::default();
     let built = drive(&real, 36, 0.0);
-    built.iter().for_each(|(frame, pose)| views.push(frame, *pose).unwrap());
+    built.iter().for_each(|(frame, pose)| views.push(frame, SensorPose::new(*pose)).unwrap());
     let clock = std::time::Instant::now();
     let found = Exploration::of(&rough, Known::Rough, &views, &ExploreOptions::default()).unwrap();
     println!("{} polygons in {:.1} s, {:.2} m2 opened", found.polygons(), clock.elapsed().as_secs_f64(), found.opened);

@@ -3,7 +3,7 @@
 use presight_explore::{Exploration, ExploreOptions, Follower, Known, Views};
 use presight_localize::motion::{moved, nees};
 use presight_model::environment::Environment;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose, SensorPose};
 use presight_model::statistics::chi_squared_quantile;
 use presight_testkit::judge::{Judged, frames, judge};
 
@@ -12,7 +12,7 @@ fn explored(polygons: usize) -> Option<(Exploration, Judged)> {
     let all = frames(&log, 4);
     let mut views = Views::default();
     for (frame, pose) in all.iter().step_by(2) {
-        views.push(frame, *pose).unwrap();
+        views.push(frame, SensorPose::new(*pose)).unwrap();
     }
     let odd: Vec<_> = all.iter().skip(1).step_by(8).cloned().collect();
     let millimetres = presight_testkit::env_number("DETAIL_MM", 0) as f64;
@@ -65,7 +65,7 @@ fn frames_without_poses_are_found_on_the_way() {
     assert_eq!(frame.sensor().spec().mount, Default::default());
     let detail = presight_testkit::env_number("DETAIL_MM", 40) as f64 * 1e-3;
     let options = ExploreOptions::default().with_detail(Some(detail));
-    let mut follower = Follower::new(start, Environment::new(), Known::Explored, &options).unwrap();
+    let mut follower = Follower::new(RobotPose::new(start), Environment::new(), Known::Explored, &options).unwrap();
     let clock = std::time::Instant::now();
     let mut last = None;
     for (k, (frame, truth)) in all.iter().enumerate() {

@@ -6,7 +6,7 @@ use presight_explore::{ExploreOptions, Follower, Known};
 use presight_localize::motion::{motion_between, nees};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_model::environment::{Environment, NewObject};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::measured::Frame;
 use presight_model::statistics::chi_squared_quantile;
 use presight_model::world::World;
@@ -40,13 +40,13 @@ fn frames(real: &Environment, yaws: &[f64], start: f64, seed: u64) -> Vec<(Frame
     let world = World::new(real.clone());
     let at = |(k, yaw): (usize, &f64)| {
         let pose = look(*yaw);
-        (simulator.frame(&world, start + 0.1 * k as f64, &pose).unwrap(), pose)
+        (simulator.frame(&world, start + 0.1 * k as f64, &RobotPose::new(pose)).unwrap(), pose)
     };
     yaws.iter().enumerate().map(at).collect()
 }
 
 fn follower() -> Follower {
-    Follower::new(look(0.0), Environment::new(), Known::Explored, &ExploreOptions::default()).unwrap()
+    Follower::new(RobotPose::new(look(0.0)), Environment::new(), Known::Explored, &ExploreOptions::default()).unwrap()
 }
 
 /// The times of the frames that are not in the first one's group, in tenths of a second.
@@ -87,8 +87,8 @@ fn frames_of_elsewhere_are_kept_until_they_are_joined() {
     assert_eq!(views.all().len(), drive.len() + rest.len());
     for view in views.all() {
         let (_, truth) = drive.iter().chain(&rest).find(|(frame, _)| frame.stamp == view.stamp).unwrap();
-        let off = view.world_from_sensor.translation.distance(truth.translation);
-        let turned = view.world_from_sensor.rotation.angle_between(truth.rotation).to_degrees();
+        let off = view.pose.world_from_sensor().translation.distance(truth.translation);
+        let turned = view.pose.world_from_sensor().rotation.angle_between(truth.rotation).to_degrees();
         println!("{} s: {off:.4} m, {turned:.3} deg", view.stamp);
         assert!(off < 0.03 && turned < 1.0, "{} s: {off} m, {turned} deg", view.stamp);
     }

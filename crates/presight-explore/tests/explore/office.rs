@@ -5,7 +5,7 @@ use glam::{DVec3, Vec3};
 use presight_explore::{Exploration, ExploreOptions, ExploredObject, Known, Views};
 use presight_localize::verdict::{self, Verdict};
 use presight_model::environment::{Environment, NewObject, Object};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose, SensorPose};
 use presight_model::sensor::{Noise, Sensor};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -103,7 +103,7 @@ fn who_walks_through_leaves_nothing() {
     let drives = [0, 5].map(|walkers| drive(real, &sensor, 5, 20.0, walkers));
     let explored = |frames: &Vec<Placed>| {
         let mut views = Views::default();
-        frames.iter().for_each(|(frame, pose)| views.push(frame, *pose).unwrap());
+        frames.iter().for_each(|(frame, pose)| views.push(frame, SensorPose::new(*pose)).unwrap());
         let options = ExploreOptions::default().with_polygons(5000).with_detail(detail());
         Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap()
     };
@@ -181,7 +181,7 @@ fn an_office_is_explored_from_four_rough_walls() {
     let sensor = lidar();
     let frames = drive(real, &sensor, 5, 45.0, 0);
     let mut views = Views::default();
-    frames.iter().for_each(|(frame, pose)| views.push(frame, *pose).unwrap());
+    frames.iter().for_each(|(frame, pose)| views.push(frame, SensorPose::new(*pose)).unwrap());
     let options = ExploreOptions::default().with_polygons(10_000).with_detail(detail());
     let clock = std::time::Instant::now();
     let found = Exploration::of(&rough, Known::Rough, &views, &options).unwrap();
@@ -192,7 +192,7 @@ fn an_office_is_explored_from_four_rough_walls() {
     let mut predictor = Predictor::new(Options::new(Backend::Cpu)).unwrap();
     let (world, mut counts) = (World::new(found.environment().clone()), [0; 7]);
     for (frame, pose) in &other {
-        let robot = PoseEstimate::exact(*pose * sensor.spec().mount.inverse());
+        let robot = PoseEstimate::exact(RobotPose::new(*pose * sensor.spec().mount.inverse()));
         let verdicts = verdict::of_frame(&mut predictor, &world, frame, &robot).unwrap();
         counts.iter_mut().zip(verdicts.counts()).for_each(|(sum, n)| *sum += n);
     }

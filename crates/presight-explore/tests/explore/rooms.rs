@@ -4,7 +4,7 @@ use glam::{DVec3, Vec3};
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_model::environment::{Environment, Mesh, NewObject, Object, Polygon, PolygonOrder};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose, SensorPose};
 use presight_model::sensor::{Camera, Geometry, Noise, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::predict::{Options, Predictor};
@@ -40,8 +40,8 @@ pub(crate) fn views_of(sensor: &Sensor, frames: impl IntoIterator<Item = (Enviro
     let mut simulator = Simulator::new(predictor, sensor.clone(), Disturbances::default(), 7).unwrap();
     let mut views = Views::default();
     for (k, (environment, pose)) in frames.into_iter().enumerate() {
-        let frame = simulator.frame(&World::new(environment), k as f64, &pose).unwrap();
-        views.push(&frame, pose).unwrap();
+        let frame = simulator.frame(&World::new(environment), k as f64, &RobotPose::new(pose)).unwrap();
+        views.push(&frame, SensorPose::new(pose)).unwrap();
     }
     views
 }

@@ -4,7 +4,7 @@ use glam::DVec3;
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
 use presight_localize::simulate::{Disturbances, Simulator};
 use presight_model::environment::{Environment, NewObject};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose, SensorPose};
 use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::predict::{Options, Predictor};
@@ -13,7 +13,7 @@ use presight_testkit::scenes::empty;
 
 fn explored(scan: &Placed, polygons: usize) -> Exploration {
     let mut views = Views::default();
-    views.push(&scan.0, scan.1).unwrap();
+    views.push(&scan.0, SensorPose::new(scan.1)).unwrap();
     let options = ExploreOptions::default().with_polygons(polygons);
     Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap()
 }
@@ -53,7 +53,7 @@ fn what_lies_between_rays_far_apart_stays_open() {
     let predictor = Predictor::new(Options::default()).unwrap();
     let mut simulator = Simulator::new(predictor, sensor, Disturbances::default(), 7).unwrap();
     let pose = Pose::IDENTITY;
-    let frame = simulator.frame(&World::new(walls), 0.0, &pose).unwrap();
+    let frame = simulator.frame(&World::new(walls), 0.0, &RobotPose::new(pose)).unwrap();
     let found = explored(&(frame, pose), 200);
     let hits = |y: f64, z: f64| is_blocked(found.environment(), DVec3::ZERO, DVec3::new(10.3, 1.03 * y, 1.03 * z));
     for k in 0..20 {

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
 use presight_model::environment::{Environment, NewObject};
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
 use presight_testkit::caster::Caster;
 use presight_testkit::judge::Placed;
@@ -111,7 +111,7 @@ fn rough_walls_of_an_office_move_to_where_they_are() {
         })
         .collect();
     let mut views = Views::default();
-    frames.iter().for_each(|(frame, pose)| views.push(frame, *pose).unwrap());
+    frames.iter().for_each(|(frame, pose)| views.push(frame, SensorPose::new(*pose)).unwrap());
     let options = ExploreOptions::default().with_polygons(2000).with_detail(Some(0.05));
     let found = Exploration::of(&rough, Known::Rough, &views, &options).unwrap();
     assert!(found.gone.is_empty(), "{:?}", found.gone);

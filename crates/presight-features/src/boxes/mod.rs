@@ -71,7 +71,7 @@ impl BoxOptions {
     /// use presight::features::BoxOptions;
     /// use presight::{Pose, PoseEstimate};
     /// let camera = presight::preset("realsense-d435")?;
-    /// let believed = PoseEstimate::of_sigmas(Pose::IDENTITY, 0.02, 0.01);
+    /// let believed = PoseEstimate::of_sigmas(RobotPose::IDENTITY, 0.02, 0.01);
     /// let options = BoxOptions::default().with_robot(&believed, &camera);
     /// assert_eq!(options.sensor, believed.sensor_covariance(&camera.spec().mount));
     /// # Ok::<(), presight::Error>(())

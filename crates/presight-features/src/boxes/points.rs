@@ -20,7 +20,7 @@ const STEEP: f64 = 0.5;
 /// Number of parts of an outline's edge.
 const PARTS: usize = 8;
 
-/// Largest curvature of a line that counts as straight: its sagitta in pixels.
+/// Maximum sagitta of a line that is treated as straight, pixels.
 const SAGITTA: f64 = 1.0 / 32.0;
 
 /// The defining points of a feature; a contour has none.
@@ -122,7 +122,7 @@ fn patch(
     let one = [visible.pixels];
     let windows = if seen.windows.is_empty() { &one[..] } else { &seen.windows[..] };
     let windows: Vec<PatchWindow> = windows.iter().map(|seen| PatchWindow::of(image, *seen)).collect();
-    // Parts outside the image are not listed as hidden, so a patch is whole only if its corners are in the image.
+    // Parts outside the image are not listed as hidden, so all of a patch is visible only if its corners are in the image.
     let (w, h) = image.size();
     let inside_image = |corner: &DVec3| {
         let at = image.project(uncertain.nominal(&BodyPoint::rigid(*corner)).p);
@@ -220,7 +220,7 @@ fn inside(
     }
 }
 
-/// Returns the last hit on the way from one pixel to another; `None` if the first is not a hit.
+/// Returns the last hit between one pixel and another; `None` if the first is not a hit.
 fn last_of(from: DVec2, to: DVec2, at: impl Fn(DVec2) -> Option<BodyPoint>) -> Option<BodyPoint> {
     let (mut inside, mut outside, mut last) = (from, to, at(from)?);
     for _ in 0..12 {
@@ -238,7 +238,7 @@ fn last_of(from: DVec2, to: DVec2, at: impl Fn(DVec2) -> Option<BodyPoint>) -> O
 struct PatchWindow {
     low: DVec2,
     high: DVec2,
-    /// Smallest and largest visible pixel.
+    /// Minimum and maximum coordinates of the visible pixels.
     seen: [DVec2; 2],
     turn: Option<f64>,
 }
@@ -254,7 +254,7 @@ impl PatchWindow {
             _ => (f64::from(image.sensor.distinct_columns()) * f64::from(h) / MAX_PATCH_SAMPLES as f64).sqrt().max(1.0),
         };
         let (mut low, mut high) = (seen[0] - step, seen[1] + step);
-        // Nothing is visible beyond the border. A full circle has no border at the sides.
+        // The border limits the visible part. A full circle has no border at the sides.
         let turn = image.turn();
         (low.y, high.y) = (low.y.max(-0.5), high.y.min(most.y));
         if turn.is_none() {

@@ -16,7 +16,7 @@ use presight_model::index::QueryResult;
 use rayon::prelude::*;
 use std::cell::RefCell;
 
-/// Largest distance of a feature from the polygons, as a part of its tolerance. The rest is for patches that are off
+/// Maximum distance of a feature from the polygons, as a part of its tolerance. The rest is for patches that are off
 /// their plane, and for rounding in other frames.
 const NEAR: f64 = 0.75;
 

@@ -51,7 +51,7 @@ pub(super) struct Effort<'a> {
     /// Steps beyond the free allowances.
     taken: AtomicU64,
     most: u64,
-    /// Largest step count at one place.
+    /// Maximum step count at one place.
     crowd: AtomicUsize,
     /// All steps, including free ones.
     #[cfg(test)]

@@ -18,10 +18,10 @@ use std::collections::BTreeMap;
 /// Cosine of one degree, the largest angle between lines that are joined.
 const PARALLEL: f64 = 0.999_847_695_156_391_2;
 
-/// Distances within which things touch, and within which they are the same.
+/// Distances within which parts touch, and within which lines coincide.
 pub(super) struct Nearness<'a> {
     pub environment: &'a Environment,
-    /// Largest distance between touching parts, metres.
+    /// Maximum distance between touching parts, metres.
     pub touch: f64,
 }
 
@@ -119,7 +119,7 @@ fn merged_of_object(
 pub(super) fn boxes_along(line: &Line, margin: f64) -> impl Iterator<Item = Aabb> + '_ {
     let mut extents = (line.end - line.start).abs().to_array();
     extents.sort_by(f64::total_cmp);
-    // Largest width of a box across its longest side, metres.
+    // Maximum width of a box across its longest side, metres.
     const WIDE: f64 = 1.0;
     let count = (extents[1] / WIDE).ceil().clamp(1.0, 256.0);
     (0..count as u32).map(move |k| {
@@ -149,7 +149,7 @@ fn sorted(found: &mut QueryResult) -> &[u32] {
 struct Along {
     from: f64,
     to: f64,
-    /// Largest distance between the two, metres.
+    /// Maximum distance between the two, metres.
     off: f64,
 }
 

@@ -6,7 +6,7 @@
 //! Flush tiles have no seam, and a box on a floor has an edge along the floor.
 //!
 //! Known limits. The visible side of a surface is known only for closed parts that are thinner than a room and wound
-//! outward. Therefore edges of a sunk box are kept below the floor too, and flush boxes that are not closed show a
+//! outward. Therefore a sunk box also keeps its edges below the floor, and flush boxes that are not closed show a
 //! seam. A curved rim gives no edge if its facets are shorter than the minimum length. If coplanar materials overlap,
 //! the borders of both count. Two edges that cross make a corner only where one of them ends. Patches have no holes for
 //! objects that stand on them.
@@ -78,17 +78,17 @@ impl std::str::FromStr for FeatureKind {
 pub struct GenerateOptions {
     /// Kinds to generate.
     pub kinds: Vec<FeatureKind>,
-    /// Shortest edge, metres.
+    /// Minimum length of an edge, metres.
     pub min_length: f64,
-    /// Smallest patch, square metres.
+    /// Minimum area of a patch, square metres.
     pub min_area: f64,
-    /// Smallest deviation of a crease from flat, radians.
+    /// Minimum deviation of a crease from flat, radians.
     pub crease: f64,
-    /// Largest deviation of a patch from vertical or horizontal, radians.
+    /// Maximum deviation of a patch from vertical or horizontal, radians.
     pub tilt: f64,
     /// Standard deviation of positions along each axis, metres.
     pub sigma: f64,
-    /// Largest distance of facets from their plane, metres; 0 if planes are exact. `None`: for each mesh, three
+    /// Maximum distance of facets from their plane, metres; 0 if planes are exact. `None`: for each mesh, three
     /// standard deviations of its own noise, at most three times `sigma`. Designed meshes have no noise.
     pub flatness: Option<f64>,
     /// Limits candidates to the neighbourhood of this box (world). Features there are as without a limit, but numbered
@@ -148,7 +148,7 @@ pub struct GeneratedLayer {
     pub layer: FeatureLayer,
     /// Numbers of features and candidates.
     pub counts: FeatureCounts,
-    /// Largest distance of facets from their plane, metres: the largest of all objects; 0 if all planes are exact.
+    /// Maximum distance of facets from their plane over all objects, metres; 0 if all planes are exact.
     pub flatness: f64,
 }
 
@@ -279,7 +279,7 @@ impl GenerateOptions {
         })
     }
 
-    /// Largest distance between touching parts, metres: half a millimetre, or less for short edges.
+    /// Maximum distance between touching parts, metres: half a millimetre, or less for short edges.
     fn touch(&self) -> f64 {
         (0.02 * self.min_length).min(5e-4)
     }

@@ -20,7 +20,7 @@ pub(super) struct Patch {
     pub normal: DVec3,
 }
 
-/// Largest distance of a part's corners from the plane of its patch, metres.
+/// Maximum distance of a part's corners from the plane of its patch, metres.
 const PART: f64 = 1e-3;
 
 /// A convex piece of a plane, counter-clockwise in the plane's coordinates.

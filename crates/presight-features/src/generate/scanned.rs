@@ -17,11 +17,11 @@ pub(super) const LAYER: f64 = 2.0;
 /// Rectangles of a plane may have this part of the least area of a plane: an eighth of its sides.
 pub(super) const PART: f64 = 1.0 / 64.0;
 
-/// Most cells of a plane. Larger planes have wider cells, and patches over gaps in them are split.
-const MOST_CELLS: f64 = (1 << 26) as f64;
+/// Maximum number of cells in a plane. Larger planes have wider cells, and patches over gaps in them are split.
+const MAX_CELLS: f64 = (1 << 26) as f64;
 
-/// Most columns and rows of a part of a plane whose rectangles are found together: the search for each takes time with
-/// the number of cells.
+/// Maximum number of columns, and of rows, in a part of a plane whose rectangles are found together: the time for each
+/// rectangle grows with the number of cells.
 const BLOCK: usize = 1024;
 
 /// A grid over a plane, in the world.
@@ -83,7 +83,7 @@ impl Grid {
             (low, high) = (low.min(p), high.max(p));
         }
         let size = high - low;
-        let cell = (0.5 * tolerance).max((size.x * size.y / MOST_CELLS).sqrt());
+        let cell = (0.5 * tolerance).max((size.x * size.y / MAX_CELLS).sqrt());
         let [columns, rows] = (size / cell).to_array().map(|n| n.ceil() as usize + 1);
         let origin = origin + axes[0] * low.x + axes[1] * low.y;
         let mut grid = Self { origin, axes, cell, columns, covered: vec![false; columns * rows] };

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 pub(super) struct SmoothSurfaces {
     /// Patches that are not exactly plane, and contours.
     pub drafts: Vec<Draft>,
-    /// Largest distance of facets from their plane, metres; 0 if planes are exact.
+    /// Maximum distance of facets from their plane, metres; 0 if planes are exact.
     pub flatness: f64,
 }
 

@@ -11,7 +11,7 @@ use presight_model::geometry::Aabb;
 use presight_model::index::{Params, QueryResult, Region, Skd, SpatialIndex};
 use presight_model::union_find::UnionFind;
 
-/// Largest mean thickness of a solid, metres: three times the volume divided by the area. A cube of 2 m or a wide slab
+/// Maximum mean thickness of a solid, metres: three times the volume divided by the area. A cube of 2 m or a wide slab
 /// of 0.67 m has this value. A thicker part may be a room.
 const ROOM: f64 = 1.0;
 
@@ -87,7 +87,7 @@ impl Solids {
         found: &mut QueryResult,
         mut spend: impl FnMut(usize) -> Result<()>,
     ) -> Result<bool> {
-        // Most points lie in no box. For the others, the search column is limited to the boxes.
+        // A point rarely lies in a box. If it does, the search column is limited to the boxes.
         found.clear();
         self.index.query(&Region::cuboid(&Aabb::of([p])), found);
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);

@@ -105,9 +105,9 @@ pub(super) struct EdgeClassifier<'a> {
     pub soup: &'a Soup,
     pub effort: &'a Effort<'a>,
     pub solids: &'a super::solids::Solids,
-    /// Largest distance between touching parts, metres.
+    /// Maximum distance between touching parts, metres.
     pub touch: f64,
-    /// Smallest deviation from flat, radians.
+    /// Minimum deviation from flat, radians.
     pub crease: f64,
 }
 

@@ -10,7 +10,7 @@ use presight_model::error::Result;
 use presight_model::geometry::{InObject, InWorld, Pose, PoseCovariance};
 use presight_model::matrix::square_root;
 
-/// Largest number of errors: six for each pose, three for each end.
+/// Maximum number of errors: six for each pose, three for each end.
 pub const ERRORS: usize = 3 * KIND;
 
 /// Number of errors of one kind.

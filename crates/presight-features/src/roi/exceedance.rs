@@ -9,10 +9,10 @@ use super::image_point::{MARGIN, PointDerivatives, dot};
 use super::{SIDES, Side};
 use presight_model::statistics::{Tails, apart, tail_quantile};
 
-/// Largest number of points considered for a side.
+/// Maximum number of points considered for a side.
 pub const MOST: usize = 3;
 
-/// Largest number of events.
+/// Maximum number of events.
 pub const EVENTS: usize = 4 * MOST;
 
 /// Thresholds for one confidence, shared by all features.
@@ -232,7 +232,7 @@ impl Exceedance {
         (alone - joint).max(f64::MIN_POSITIVE)
     }
 
-    /// The same bound with the common number increased by `more`.
+    /// This bound with the common number increased by `more`.
     fn passed(&mut self, more: f64, tails: &Tails) -> f64 {
         self.reach.clear();
         for e in &self.events {

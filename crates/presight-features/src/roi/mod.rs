@@ -132,7 +132,7 @@ struct Side {
 /// A point is lost if its clearance falls to this share.
 pub(crate) const GRAZING: f64 = 0.05;
 
-/// The projection counts as linear if errors move a point by at most this share of its lever.
+/// The projection is treated as linear if errors move a point by at most this share of its lever.
 pub const BENT: f64 = 0.02;
 
 /// Beyond this share of the lever, the errors at the sides do not show all of the curvature.
@@ -177,7 +177,7 @@ impl BoxFinder {
         level: &Level,
         method: BoxMethod,
     ) -> Option<Roi> {
-        // Most features are fully visible, so their points are already prepared.
+        // The points of a fully visible feature, which is the common case, are already prepared.
         if self.whole.is_empty() || self.whole != points {
             rough(projection, uncertain, points, &mut self.rough);
             see(uncertain, &self.rough, level.first, &mut self.seen);

@@ -17,7 +17,7 @@ use super::{GRAZING, Projection, SIDES, Side};
 use presight_model::statistics::portable_normal_pair;
 use std::sync::OnceLock;
 
-/// Largest number of samples.
+/// Maximum number of samples.
 const DRAWS: usize = 2048;
 
 /// All samples are drawn if 1 - confidence is below this, otherwise half of them.
@@ -26,7 +26,7 @@ const RARE: f64 = 5e-3;
 /// Number of samples that locate the places for the others.
 const FIRST: usize = 512;
 
-/// Smallest number of these samples whose mean gives a place.
+/// Minimum number of these samples for a mean to give a place.
 const AT_LEAST: usize = 12;
 
 /// Share of samples drawn from the normal distribution itself.
@@ -38,7 +38,7 @@ const WIDE: f64 = 0.3;
 /// Scale of the wider distribution.
 const WIDTH: f64 = 1.6;
 
-/// Largest number of places: two for each side.
+/// Maximum number of places: two for each side.
 const CENTERS: usize = 8;
 
 /// Standard errors added to the estimated probability of the discarded samples.
@@ -122,7 +122,7 @@ struct Draw {
 }
 
 impl<P: Projection> Set<'_, P> {
-    /// How far errors move the feature towards each side; `None` if they move it behind the sensor. Points that leave
+    /// The distance by which errors move the feature towards each side; `None` if they move it behind the sensor. Points that leave
     /// the image elsewhere count where they would be.
     fn reach(&self, few: &ActiveErrors) -> Option<[f64; 4]> {
         let mut xi = ErrorVector::default();

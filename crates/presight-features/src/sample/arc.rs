@@ -5,13 +5,13 @@ use glam::{DVec2, DVec3};
 
 /// Length of the arc pieces to start with, pixels. Shorter parts of an image between two places outside it are missed.
 const COARSE: f64 = 8.0;
-/// Most pieces of arc to start with.
+/// Maximum number of initial pieces of an arc.
 const MAX_COARSE: f64 = 4096.0;
-/// Longest piece of an image that may be sampled as a straight line, pixels.
+/// Maximum length of an image piece that may be sampled as a straight line, pixels.
 const RUN: f64 = 12.0;
-/// Largest distance of such a piece's middle from the middle of the line, pixels.
+/// Maximum distance of such a piece's middle from the middle of the line, pixels.
 const BENT: f64 = 1.0 / 64.0;
-/// Most halvings of an arc; only arcs near a pole need many.
+/// Maximum number of halvings of an arc; only arcs near a pole need many.
 const MAX_DEPTH: u32 = 40;
 
 impl Sampler<'_> {

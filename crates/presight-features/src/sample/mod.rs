@@ -26,10 +26,10 @@ use std::sync::OnceLock;
 
 /// Default length of the longest piece of an image per sample, pixels.
 pub const STEP: f64 = 0.5;
-/// Most samples of one segment.
+/// Maximum number of samples of one segment.
 pub const MAX_SEGMENT_SAMPLES: usize = 1 << 17;
-/// Most samples of one patch at the default step: larger patches have wider steps, unless images decide them pixel by
-/// pixel. With finer steps up to 64 times that number.
+/// Maximum number of samples of one patch at the default step: larger patches have wider steps, unless images decide
+/// them pixel by pixel. Finer steps allow up to 64 times this number.
 pub const MAX_PATCH_SAMPLES: usize = 1 << 12;
 
 /// Tolerance for directions on the cone of a row without height, radians.
@@ -71,7 +71,7 @@ pub struct Sampler<'a> {
     pinhole: Option<&'a Camera>,
     size: DVec2,
     turn: Option<f64>,
-    /// Longest piece of an image per sample, pixels.
+    /// Maximum length of an image piece per sample, pixels.
     step: f64,
     /// Approximate finest angle between neighbouring rays, radians.
     pixel_angle: f64,

@@ -7,7 +7,7 @@ use glam::{DVec2, DVec3};
 use presight_model::geometry::plane_of_polygon;
 use presight_model::sensor::Geometry;
 
-/// Most cells of the grid around a patch with few samples.
+/// Maximum number of cells of the grid around a patch with few samples.
 const MAX_PATCH_CELLS: usize = 1 << 16;
 
 impl Sampler<'_> {
@@ -71,7 +71,7 @@ impl Sampler<'_> {
 
     /// Returns true if a patch surely covers at most `most` pixels.
     pub(crate) fn covers_at_most(&self, outline: &PatchOutline, most: usize) -> bool {
-        // Other images may show a thing twice.
+        // Other images may show the patch twice.
         let is_once = self.pinhole.is_some() || self.is_all_around();
         let pixels = |size: f64| (size + 1e-6).floor() + 1.0;
         let [low, high] = outline.bounds.unwrap_or_default();
@@ -168,7 +168,7 @@ impl Sampler<'_> {
                 Part::One(Piece::Outside { .. }) => {}
             });
         }
-        // Where the border of the image is inside the patch, it is also the border of the patch's image.
+        // The part of the image's border that is inside the patch is also a border of the patch's image.
         let covered = self.border().iter().filter(|(_, ray)| cone.meet(*ray).is_some());
         covered.for_each(|(p, _)| take(*p));
         if low.x > high.x {
@@ -255,12 +255,12 @@ impl PatchCone {
         [from, to]
     }
 
-    /// Where a ray of any length meets the plane.
+    /// The intersection of a ray, extended to any length, with the plane.
     pub(super) fn place(&self, ray: DVec3) -> DVec3 {
         ray / (self.normal.dot(ray) / self.offset)
     }
 
-    /// Where a ray of any length meets the patch.
+    /// The intersection of a ray, extended to any length, with the patch.
     pub(super) fn meet(&self, ray: DVec3) -> Option<DVec3> {
         let inverse = self.normal.dot(ray) / self.offset;
         (inverse > 0.0 && self.edges.iter().all(|e| e.dot(ray) >= 0.0)).then(|| ray / inverse)

@@ -74,7 +74,7 @@ impl PatchColumns {
         start + first..start + end.max(first)
     }
 
-    /// The rows of `some` between two shares of the way from the first row's ray to the last one's.
+    /// The rows of `some` between two shares of the turn from the first row's ray to the last one's.
     pub fn rows_at(&self, some: Range<usize>, [from, to]: [f64; 2]) -> Range<usize> {
         let [first, last] = [self.times[some.start], self.times[some.end - 1]];
         let bounds = [from, to].map(|share| first + share * (last - first));

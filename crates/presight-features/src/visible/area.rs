@@ -37,7 +37,7 @@ struct PatchPixels<'p> {
     workspace: &'p mut Workspace,
     /// Its product with a ray is the reciprocal of the factor that scales the ray to the patch.
     inverse: DVec3,
-    /// Least and greatest range of the patch.
+    /// Minimum and maximum range of the patch.
     ranges: [f64; 2],
     /// Only occlusion can hide the patch, at every pixel.
     plain: bool,
@@ -156,7 +156,7 @@ impl PatchPixels<'_> {
         }
     }
 
-    /// Returns true if the images hold no information for this pixel. The id alone is 0 for an empty ray, too.
+    /// Returns true if the images hold no information for this pixel. The id alone would not tell: it is also 0 for an empty ray.
     fn is_not_predicted(&self, line: u32, sample: u32) -> bool {
         self.query.frame.options.is_partial && self.query.frame.images.is_open(self.number_at(line, sample))
     }
@@ -200,7 +200,7 @@ impl PatchPixels<'_> {
         self.workspace.polygons.of_slot(self.query.frame, slot)
     }
 
-    /// Where a pixel's ray meets the patch.
+    /// The intersection of a pixel's ray with the patch.
     fn place(&self, line: u32, sample: u32) -> DVec3 {
         let ray = match self.query.frame.sensor.grid() {
             PixelGrid::Lines(grid) => grid.image_from_line() * grid.line_ray(line as usize, sample as usize),

@@ -32,7 +32,7 @@ impl Candidates {
     /// Starts a new list.
     pub fn begin(&mut self) {
         self.list = self.list.checked_add(1).unwrap_or_else(|| {
-            // The numbers start again, so marks of earlier lists would count as marks of new ones.
+            // The numbers start again, so marks of earlier lists would pass for marks of new ones.
             self.asked.fill(0);
             1
         });

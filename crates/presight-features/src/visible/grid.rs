@@ -68,7 +68,7 @@ pub(super) fn decide(query: &FeatureQuery<'_>, outline: PatchOutline, workspace:
 }
 
 impl Grid {
-    /// How many samples are not hidden.
+    /// Number of samples that are not hidden.
     fn open(&self) -> usize {
         self.by.iter().filter(|by| **by == NONE).count()
     }

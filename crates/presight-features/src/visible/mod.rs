@@ -62,7 +62,7 @@ use worker::Worker;
 /// The method that decides visibility.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Visibility {
-    /// Tests the polygons of neighbouring pixels; where these hide nothing, queries the index for many samples at once.
+    /// Tests the polygons of neighbouring pixels; for the samples that these do not hide, queries the index in batches.
     #[default]
     Image,
     /// Casts a ray through the index for every sample. Slow; [`Visibility::Image`] is tested against it.
@@ -82,7 +82,7 @@ pub struct FeatureSettings {
     pub hidden: Hidden,
     /// The method that decides visibility.
     pub visibility: Visibility,
-    /// Longest piece of a feature's image per sample, 0.001 pixels to [`STEP`]. Finer steps make visible fractions more
+    /// Maximum length of a feature's image per sample, 0.001 pixels to [`STEP`]. Finer steps make visible fractions more
     /// precise and take longer. A patch that covers more than 1,024 pixels is sampled at its pixels. With
     /// [`Visibility::Rays`] a patch has up to 4,096 samples, and up to 64 times that number with finer steps.
     pub step: f64,
@@ -184,7 +184,7 @@ pub enum OcclusionHint {
 }
 
 impl<'a> PreparedFeatures<'a> {
-    /// Prepares features. Features that come with a tree and the surfaces of contours are known to exist in the world.
+    /// Prepares features. Features given with a tree and with the surfaces of contours were already checked against the world.
     ///
     /// # Errors
     /// The errors of [`predict_features`].
@@ -354,14 +354,14 @@ fn length_through(frame: &VisibilityContext<'_>, points: &[DVec3]) -> f64 {
     length
 }
 
-/// Smallest number of features per parallel task.
+/// Minimum number of features per parallel task.
 const BATCH: usize = 32;
 
 /// Idle workspaces. Within a prediction they keep their polygons and tiles for the next task of the thread pool.
 #[derive(Default)]
 struct IdleWorkspaces {
     idle: Mutex<Vec<Workspace>>,
-    /// Where they stay between predictions.
+    /// Keeps them between predictions.
     memory: WorkspaceMemory,
 }
 

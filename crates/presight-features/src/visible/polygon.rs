@@ -197,7 +197,7 @@ mod tests {
         assert_eq!(within_edges(&[most, least], q, p), Some([0.25, 0.75]));
         assert_eq!(within_edges(&[least], p, q), Some([0.25, 1.0]));
         assert_eq!(within_edges(&[], p, q), Some([0.0, 1.0]));
-        // Outside one edge; and outside two edges at once: x at most 0.5 y and at least 1.5 y.
+        // Outside one edge; and outside two contradictory edges: x at most 0.5 y and at least 1.5 y.
         assert_eq!(within_edges(&[DVec3::NEG_Y], p, q), None);
         assert_eq!(within_edges(&[-least, -most], p, q), None);
     }

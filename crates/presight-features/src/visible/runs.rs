@@ -16,8 +16,8 @@ use glam::{DVec2, DVec3};
 use presight_model::environment::FeatureShape;
 use std::ops::Range;
 
-/// Most extra blocks of pixels that are searched in the gaps between the regular ones.
-const MOST_LOOKS: usize = 8;
+/// Maximum number of extra blocks of pixels that are searched in the gaps between the regular ones.
+const MAX_LOOKS: usize = 8;
 
 /// A polygon that hides two places by more than this, after rounding, hides all places between them.
 const CLEARLY: f64 = 1e-12;
@@ -34,7 +34,7 @@ pub(super) struct SampledSegment {
     by: Vec<u32>,
     /// Both ends, image frame.
     ends: [DVec3; 2],
-    /// Least and greatest range of the part in the image.
+    /// Minimum and maximum range of the part in the image.
     ranges: [f64; 2],
     rounding: f64,
 }
@@ -162,7 +162,7 @@ impl SampledSegment {
         Stretch { some, ends, t: ends.map(|at| self.t(at)) }
     }
 
-    /// How many samples are not hidden.
+    /// Number of samples that are not hidden.
     fn open(&self) -> usize {
         self.by.iter().filter(|by| **by == NONE).count()
     }
@@ -252,7 +252,7 @@ impl SampledSegment {
         }
         // Search the middle of each remaining gap: building a tile that reaches behind it would take longer.
         let mut start = self.open_in(0..count);
-        for _ in 0..MOST_LOOKS {
+        for _ in 0..MAX_LOOKS {
             if start == count {
                 break;
             }

@@ -3,7 +3,7 @@
 //! Boxes of many features are tested first, from the root of their tree down. The candidate occluder of a box or a
 //! feature is the polygon that the image shows at its middle. It hides the box or feature if all corners are in the
 //! polygon's cone and behind its plane, by the same bounds as for samples. If it hides only a part of a feature, the
-//! rest is tested in the same way until nothing is left or the image shows no candidate. The image only proposes
+//! rest is tested likewise until all of it is hidden or the image shows no candidate. The image only proposes
 //! occluders, so every feature with a visible sample is selected.
 
 use super::polygon::PreparedPolygon;
@@ -25,8 +25,8 @@ use std::collections::VecDeque;
 /// Minimum distance inside a cone, relative to the size: samples may be off by rounding.
 const INSIDE: f64 = 1e-12;
 
-/// Most parts of a feature that are tested.
-const MOST_PARTS: usize = 24;
+/// Maximum number of parts of a feature that are tested.
+const MAX_PARTS: usize = 24;
 
 /// The tree is split into at least this number of boxes for the threads, if it has them.
 const MANY_BOXES: usize = 64;
@@ -83,7 +83,7 @@ pub(super) fn out_of_view(
     contours: &ContourSet,
 ) -> Vec<Option<Reason>> {
     let view = View::new(frame.sensor);
-    // Excludes lenses, which may see behind themselves, and single rows, which only see cuts of things.
+    // Excludes lenses, which may see behind themselves, and single rows, which only see sections of surfaces.
     let is_scanner = matches!(frame.sensor.spec().geometry, Geometry::Scanner(_)) && !frame.sampler.is_one_row();
     let mut reasons = vec![None; tree.order.len()];
     for group in &tree.groups {
@@ -172,7 +172,7 @@ impl Selection<'_, '_> {
         }
     }
 
-    /// Returns true if nothing of a box is in view, or one polygon hides all of it.
+    /// Returns true if a box is out of view, or one polygon hides all of it.
     fn is_out(&mut self, node: &Node, group: &Group, image_from_object: DMat3, shift: DVec3) -> bool {
         let (middle, axes, rounding) = placed_box(self.frame, node, group.object, image_from_object, shift);
         if !self.view.meets(middle, &axes) {
@@ -184,7 +184,7 @@ impl Selection<'_, '_> {
             && !self.tree.carries(known.slot, &node.some)
     }
 
-    /// Returns true if nothing of a feature is in view, or polygons that it does not lie on hide all of it.
+    /// Returns true if a feature is out of view, or polygons that it does not lie on hide all of it.
     fn is_hidden(&mut self, feature: u32, image_from_object: DMat3, shift: DVec3) -> bool {
         let placed = &self.placed[feature as usize];
         let surface = self.contours.get(feature as usize);
@@ -214,12 +214,12 @@ impl Selection<'_, '_> {
     /// Returns true if polygons that the image shows in front of parts of the points' hull together hide all of it.
     fn is_hidden_in_parts(&mut self, placed: &PlacedFeature, rounding: f64) -> bool {
         let mut rest = vec![self.points.clone()];
-        for _ in 0..MOST_PARTS {
+        for _ in 0..MAX_PARTS {
             let Some(part) = rest.pop() else { return true };
             let middle = part.iter().sum::<DVec3>() / part.len() as f64;
             let Some(number) = self.polygon_at(middle) else { return false };
             let known = self.workspace.polygons.get(number);
-            // A polygon hides nothing in front of its plane.
+            // A polygon hides only what is behind its plane.
             if placed.slots.contains(&known.slot) || !part.iter().any(|p| known.inverse.dot(*p) > 1.0) {
                 return false;
             }

@@ -42,7 +42,7 @@ pub(super) struct Tally {
     /// The nearest visible sample: its squared range, and its position.
     pub nearest: Option<(f64, DVec3)>,
     pub pixels: Vec<u32>,
-    /// Where a patch is seen, if regions are requested.
+    /// The image boxes in which a patch is seen, if regions are requested.
     pub windows: Option<Box<Windows>>,
 }
 
@@ -183,7 +183,7 @@ impl Tally {
         }
     }
 
-    /// Returns true if nothing of the feature is seen.
+    /// Returns true if no part of the feature is seen.
     pub fn is_unseen(&self, is_area: bool) -> bool {
         if is_area { self.bounds.is_none() } else { self.visible.is_empty() }
     }

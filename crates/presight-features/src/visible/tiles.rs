@@ -17,7 +17,7 @@ use std::collections::HashMap;
 const PIXELS: f64 = 128.0;
 /// Approximate width of a scanner's tiles. Its pixels are wide: large tiles would contain much of a building.
 const SCANNER_PIXELS: f64 = 32.0;
-/// Most tiles along a side of the cube, so that their numbers fit in 32 bits.
+/// Maximum number of tiles along a side of the cube, so that their numbers fit in 32 bits.
 const MAX_ACROSS: f64 = 16_384.0;
 /// Margin of a tile over its sides, in coordinates on the cube: rounding may move places between two of its places out.
 const SLACK: f64 = 1e-9;
@@ -142,8 +142,8 @@ impl Square {
 
     /// The share of the line from `p`, inside up to rounding, to `q` at which it leaves the pyramid; 1 if it does not.
     pub fn left_at(&self, p: DVec3, q: DVec3) -> f64 {
-        let ways = self.sides(p).into_iter().zip(self.sides(q)).filter(|(_, g)| *g < 0.0);
-        ways.map(|(f, g)| f.max(0.0) / (f.max(0.0) - g)).fold(1.0, f64::min)
+        let crossings = self.sides(p).into_iter().zip(self.sides(q)).filter(|(_, g)| *g < 0.0);
+        crossings.map(|(f, g)| f.max(0.0) / (f.max(0.0) - g)).fold(1.0, f64::min)
     }
 
     /// Rays along its edges, in order around it.
@@ -159,7 +159,7 @@ impl Square {
     }
 }
 
-/// Polygons of a tile, the nearest first, with their cells: comparing cells excludes many of them at once.
+/// Polygons of a tile, the nearest first, with their cells: comparing cells excludes many of them in one step.
 #[derive(Default)]
 struct TilePolygons {
     all: Vec<TilePolygon>,

@@ -11,7 +11,7 @@ use glam::{DMat3, DVec2, DVec3};
 use presight_model::environment::FeatureShape;
 
 pub(super) struct FeatureResult {
-    /// `None` if nothing is seen and the results of hidden features are not requested.
+    /// `None` if the feature is hidden and the results of hidden features are not requested.
     pub seen: Option<SeenFeature>,
     pub stats: FeatureStats,
     pub pixels: Vec<u32>,
@@ -84,7 +84,7 @@ impl Worker<'_> {
     }
 }
 
-/// The hidden parts to report: if nothing is seen and only the reason is requested, the last reason alone.
+/// The hidden parts to report: if all of the feature is hidden and only the reason is requested, the last reason alone.
 pub(super) fn told(frame: &VisibilityContext<'_>, hidden: &[HiddenPart], is_unseen: bool) -> Vec<HiddenInterval> {
     if frame.options.hidden == Hidden::Reason && is_unseen {
         let last = hidden.iter().map(|h| h.reason).max();

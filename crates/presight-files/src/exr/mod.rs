@@ -6,7 +6,7 @@ use ::exr::meta::attribute::{AttributeValue, LineOrder, Text};
 use ::exr::meta::header::LayerAttributes;
 use ::exr::prelude::{Compression, WritableImage};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::memory;
 use presight_model::printable::quoted;
 use presight_read::atomic::write_atomically;
@@ -24,7 +24,7 @@ pub struct Attributes {
     /// The sensor as sensor TOML.
     pub sensor: Option<String>,
     /// The sensor's pose, body axes. The file keeps every bit.
-    pub world_from_sensor: Option<Pose>,
+    pub pose: Option<SensorPose>,
     /// The scene's path, as given.
     pub scene: Option<String>,
     /// BLAKE3 of the scene file, hexadecimal.
@@ -69,7 +69,7 @@ pub struct ImageFile {
 /// ```
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
+/// [`presight_model::ErrorKind::System`] if the file cannot be written; no partial file is left.
 /// [`presight_model::ErrorKind::Invalid`] if there is no image.
 pub fn write(path: &Path, images: &Images, outputs: Outputs, attributes: &Attributes) -> Result<()> {
     let mut channels = Vec::new();
@@ -129,7 +129,7 @@ fn to_io(e: ::exr::error::Error) -> io::Error {
 fn to_texts(attributes: &Attributes) -> Vec<(String, String)> {
     let mut texts = vec![("format", FORMAT.to_string())];
     texts.extend(attributes.sensor.clone().map(|t| ("sensor", t)));
-    texts.extend(attributes.world_from_sensor.map(|p| ("world_from_sensor", pose_to_text(&p))));
+    texts.extend(attributes.pose.map(|p| ("world_from_sensor", pose_to_text(&p.world_from_sensor()))));
     texts.extend(attributes.scene.clone().map(|t| ("scene", t)));
     texts.extend(attributes.scene_blake3.clone().map(|t| ("scene_blake3", t)));
     texts.extend(attributes.scene_content.clone().map(|t| ("scene_content", t)));
@@ -173,9 +173,10 @@ fn sort_header(file: &mut File) -> io::Result<()> {
 /// Reads the attributes, and the images whose channel names presight knows.
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Invalid`] or [`presight_model::ErrorKind::Unsupported`], naming the channel or attribute, for a file that is missing,
-/// truncated or not EXR, has deep data, several layers or sides beyond the limits, a channel that is subsampled or of
-/// the wrong type, or attributes of a newer format. [`presight_model::ErrorKind::System`] if the system refuses.
+/// [`presight_model::ErrorKind::Invalid`] or [`presight_model::ErrorKind::Unsupported`], naming the channel or
+/// attribute, for a file that is missing, truncated or not EXR, has deep data, several layers or sides beyond the
+/// limits, a channel that is subsampled or of the wrong type, or attributes of a newer format.
+/// [`presight_model::ErrorKind::System`] if the system refuses.
 pub fn read(path: &Path) -> Result<ImageFile> {
     read_unnamed(path).map_err(|e| e.in_file(path))
 }
@@ -247,7 +248,7 @@ impl Attributes {
         match name {
             "format" => {}
             "sensor" => self.sensor = Some(text.to_owned()),
-            "world_from_sensor" => self.world_from_sensor = Some(pose_from_text(text)?),
+            "world_from_sensor" => self.pose = Some(SensorPose::new(pose_from_text(text)?)),
             "scene" => self.scene = Some(text.to_owned()),
             "scene_blake3" => self.scene_blake3 = Some(text.to_owned()),
             "scene_content" => self.scene_content = Some(text.to_owned()),

@@ -36,7 +36,7 @@ fn images(width: u32, height: u32, outputs: Outputs) -> Images {
 fn attributes() -> Attributes {
     Attributes {
         sensor: Some("format = 1\nkind = \"camera\"\n".into()),
-        world_from_sensor: Some(Pose::from_xyz_rpy(DVec3::new(5_000_000.123_456_789, -0.1, 1e-300), 0.1, 0.2, 3.0)),
+        pose: Some(SensorPose::from_xyz_rpy(DVec3::new(5_000_000.123_456_789, -0.1, 1e-300), 0.1, 0.2, 3.0)),
         scene: Some("räume/hall.glb".into()),
         scene_blake3: Some("00ff".into()),
         scene_content: Some("ff00".into()),
@@ -165,7 +165,7 @@ fn vectors_are_three_channels_and_say_their_frame() {
     std::fs::write(&path, bytes).unwrap();
     let e = error_of(&path);
     assert_eq!((e.kind(), e.place()), (ErrorKind::Unsupported, Some("attribute \"presight:normal_frame\"")));
-    // Without vectors the attribute is absent.
+    // A file without vectors has no such attribute.
     write(&path, &images, Outputs::of(&[Output::ObjectId]), &Attributes::default()).unwrap();
     assert_eq!(header_of(&path, "presight:normal_frame"), (vec!["object_id".to_owned()], None));
     // A vector with two components is refused.

@@ -16,22 +16,32 @@
 //! `cos_incidence`, `roi`, `roi_flag`, `image_covariance`, `properties` (`strength`, `contrast`, `normal` and
 //! `direction` in the world, `family`, `code`, `existence` at the time of the prediction) and `history` (null without a
 //! store). `range`, `cos_incidence`, `roi`, `roi_flag` and `image_covariance` are null for an invisible feature;
-//! `image_covariance` also if a defining point has no image (behind a camera). `pixels` are both ends of a visible part, and
-//! for a contour its polyline. If only the reasons of hidden features are requested, entries without a visible part have
-//! only `id`, `kind`, `branch`, `visible_fraction`, `visible` and one `hidden` part, and stand on one line.
+//! `image_covariance` also if a defining point has no image (behind a camera). `pixels` are both ends of a visible
+//! part, and for a contour its polyline. If only the reasons of hidden features are requested, entries without a
+//! visible part have only `id`, `kind`, `branch`, `visible_fraction`, `visible` and one `hidden` part, and stand on one
+//! line.
 //!
 //! `virtual` has `name`, `robot_from_sensor` (the sensor's mount: x, y, z, qx, qy, qz, qw) and, by name:
 //!
-//! | `name` | keys | defined in |
-//! |---|---|---|
-//! | `free-floor` | `floor_z_world`, `area`, `pixels`, `pixels_over_horizon`, `regions` (`area`, `pixels`, `outer_robot`, `holes_robot`: points), `mask` (`runs`: row, first column, count) | [`FreeFloor`](presight_predict::virtual_sensors::FreeFloor) |
-//! | `edges` | `edges` (`id`, `name`, `visible_fraction`, `visible`: `t`, `pixels`, `ends_world`), `segments` | [`Edges`](presight_predict::virtual_sensors::Edges) |
-//! | `radar-lines` | `lines` (`ends_robot`, `length`, `normal_robot`, `distance`, `columns`, `beams`, `polygons`, `objects`), `single_beams` | [`RadarLines`](presight_predict::virtual_sensors::RadarLines) |
-//! | `radar-nearest` | `directions` (`azimuth`, `range`, `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`, `arc_length`, `first`, `beams`), `complete_to` if work was dropped | [`Nearest`](presight_predict::virtual_sensors::Nearest) |
-//! | `radar-landmarks` | `landmarks` (`id`, `name`, `kind`, `family`, `code`, `position_robot`, `position_world`, `corners_robot`, `range`, `azimuth`, `elevation`, `cos_incidence`, `visible_fraction`, `existence`), `known` | [`Landmarks`](presight_predict::virtual_sensors::Landmarks) |
-//! | `depth-image` | `width`, `height`, `points`, `bounds_robot`, `points_robot` (row-major, null without a point) | [`DepthImage`](presight_predict::virtual_sensors::DepthImage) |
-//! | `vertical-planes` | `planes` (`normal_robot`, `distance`, `centre_robot`, `extent`, `pixels`, `area`, `object`, `pixel_bounds`), `pixels` | [`VerticalPlanes`](presight_predict::virtual_sensors::VerticalPlanes) |
-//! | `docking` | `landmarks` and `known` as above, `measurements`, `freedom`, `covariance`, `sigmas`, `information`, `unobservable` (`name`, `motion`) | [`Docking`](presight_predict::virtual_sensors::Docking) |
+//! - `free-floor` ([`FreeFloor`](presight_predict::virtual_sensors::FreeFloor)): `floor_z_world`, `area`, `pixels`,
+//!   `pixels_over_horizon`, `regions` (`area`, `pixels`, `outer_robot`, `holes_robot`: points), `mask` (`runs`: row,
+//!   first column, count)
+//! - `edges` ([`Edges`](presight_predict::virtual_sensors::Edges)): `edges` (`id`, `name`, `visible_fraction`,
+//!   `visible`: `t`, `pixels`, `ends_world`), `segments`
+//! - `radar-lines` ([`RadarLines`](presight_predict::virtual_sensors::RadarLines)): `lines` (`ends_robot`, `length`,
+//!   `normal_robot`, `distance`, `columns`, `beams`, `polygons`, `objects`), `single_beams`
+//! - `radar-nearest` ([`Nearest`](presight_predict::virtual_sensors::Nearest)): `directions` (`azimuth`, `range`,
+//!   `object_id`, by column), `nearest` (`point_robot`, `range`, `pixel`, `polygon`, `object`), `corridor` (`length`,
+//!   `arc_length`, `first`, `beams`), `complete_to` if work was dropped
+//! - `radar-landmarks` ([`Landmarks`](presight_predict::virtual_sensors::Landmarks)): `landmarks` (`id`, `name`,
+//!   `kind`, `family`, `code`, `position_robot`, `position_world`, `corners_robot`, `range`, `azimuth`, `elevation`,
+//!   `cos_incidence`, `visible_fraction`, `existence`), `known`
+//! - `depth-image` ([`DepthImage`](presight_predict::virtual_sensors::DepthImage)): `width`, `height`, `points`,
+//!   `bounds_robot`, `points_robot` (row-major, null without a point)
+//! - `vertical-planes` ([`VerticalPlanes`](presight_predict::virtual_sensors::VerticalPlanes)): `planes`
+//!   (`normal_robot`, `distance`, `centre_robot`, `extent`, `pixels`, `area`, `object`, `pixel_bounds`), `pixels`
+//! - `docking` ([`Docking`](presight_predict::virtual_sensors::Docking)): `landmarks` and `known` as above,
+//!   `measurements`, `freedom`, `covariance`, `sigmas`, `information`, `unobservable` (`name`, `motion`)
 //!
 //! Lengths are metres, areas square metres, angles radians.
 
@@ -42,7 +52,7 @@ use presight_features::{FeaturePrediction, Hidden as HiddenFeatures, HiddenInter
 use presight_features::{VisibleInterval, image_path};
 use presight_model::environment::{Environment, FeatureShape};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::{InWorld, Pose, PoseCovariance};
+use presight_model::geometry::{InWorld, Pose, PoseCovariance, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_predict::virtual_sensors::VirtualReading;
 use presight_read::atomic::write_atomically;
@@ -61,8 +71,8 @@ const FORMAT: u32 = 1;
 pub struct Header {
     /// The sensor.
     pub sensor: Sensor,
-    /// The sensor's pose, body axes.
-    pub world_from_sensor: Pose,
+    /// The sensor's pose.
+    pub pose: SensorPose,
     /// Covariance of that pose.
     pub pose_covariance: Option<PoseCovariance<InWorld>>,
     /// Probability that a feature lies in its region of interest.
@@ -75,17 +85,17 @@ pub struct Header {
 
 impl Header {
     /// The header for a sensor at a pose, without uncertainty. Hidden features are listed in full.
-    pub fn new(sensor: &Sensor, world_from_sensor: Pose) -> Self {
+    pub fn new(sensor: &Sensor, pose: SensorPose) -> Self {
         let (sensor, hidden) = (sensor.clone(), HiddenFeatures::Full);
-        Self { sensor, world_from_sensor, pose_covariance: None, confidence: None, given_up: None, hidden }
+        Self { sensor, pose, pose_covariance: None, confidence: None, given_up: None, hidden }
     }
 }
 
-/// Writes predicted features, and the reading of a virtual sensor if there is one. `environment` names the objects that hide
-/// features.
+/// Writes predicted features, and the reading of a virtual sensor if there is one. `environment` names the objects that
+/// hide features.
 ///
 /// # Errors
-/// [`ErrorKind::System`] if the file cannot be written; nothing is left under its name then.
+/// [`ErrorKind::System`] if the file cannot be written; no partial file is left.
 pub fn write(
     path: &Path,
     header: &Header,
@@ -107,7 +117,7 @@ pub fn to_string(
     environment: &Environment,
     reading: Option<&VirtualReading>,
 ) -> Result<String> {
-    let (t, q) = (header.world_from_sensor.translation, header.world_from_sensor.rotation);
+    let Pose { translation: t, rotation: q } = header.pose.world_from_sensor();
     let mut file = File {
         format: FORMAT,
         sensor: &header.sensor.spec().name,
@@ -298,7 +308,8 @@ fn entry<'a>(seen: &'a SeenFeature, header: &Header, environment: &'a Environmen
     }
 }
 
-/// The entry of a feature without a visible part: of all reasons of its parts the last one, as [`HiddenFeatures::Reason`].
+/// The entry of a feature without a visible part: of all reasons of its parts the last one, as
+/// [`HiddenFeatures::Reason`].
 fn unseen(seen: &SeenFeature) -> UnseenRecord<'_> {
     let reason = seen.hidden.iter().map(|h| h.reason).max().unwrap_or(Reason::OutsideImage);
     UnseenRecord {
@@ -313,7 +324,9 @@ fn unseen(seen: &SeenFeature) -> UnseenRecord<'_> {
 
 fn visible(v: &VisibleInterval, seen: &SeenFeature, header: &Header) -> Visible {
     let pixels = match seen.feature.shape {
-        FeatureShape::Contour { .. } => image_path(&header.sensor, &header.world_from_sensor, &seen.points_world, v),
+        FeatureShape::Contour { .. } => {
+            image_path(&header.sensor, &header.pose.world_from_sensor(), &seen.points_world, v)
+        }
         _ => v.pixels.to_vec(),
     };
     Visible { t: v.t, pixels: pixels.iter().map(DVec2::to_array).collect() }
@@ -388,7 +401,7 @@ mod tests {
     #[test]
     fn fields_bear_the_names_that_others_read() {
         let prediction = FeaturePrediction { features: vec![seen()], ..FeaturePrediction::default() };
-        let header = Header::new(&preset("video-camera").unwrap(), Pose::IDENTITY);
+        let header = Header::new(&preset("video-camera").unwrap(), SensorPose::IDENTITY);
         let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
         let json: serde_json::Value = serde_json::from_str(&text).unwrap();
         let keys = |v: &serde_json::Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
@@ -448,7 +461,10 @@ mod tests {
             opening: None,
         };
         let given_up = Some(given_up);
-        let header = Header { given_up: given_up.clone(), ..Header::new(&preset("video-camera").unwrap(), pose) };
+        let header = Header {
+            given_up: given_up.clone(),
+            ..Header::new(&preset("video-camera").unwrap(), SensorPose::new(pose))
+        };
         let text = to_string(&header, &prediction, &Environment::new(), None).unwrap();
         let read = parse(&text).unwrap();
         assert_eq!(read.given_up, given_up);

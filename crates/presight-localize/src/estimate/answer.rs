@@ -4,7 +4,7 @@ use super::deviation::SeenDeviation;
 use super::normal::{CommonError, Freedom, Normal};
 use crate::extract::Findings;
 use crate::verdict::Verdicts;
-use presight_model::geometry::{InObject, Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{InObject, Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{
     Matrix, add_to, directions, inverse, product, quadratic, restricted, sandwich, scaled, transposed,
 };
@@ -24,8 +24,8 @@ pub enum EstimateState {
 /// A pose that explains the measurement about as well as the best one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hypothesis {
-    /// world_from_robot.
-    pub pose: Pose,
+    /// The robot's pose.
+    pub pose: RobotPose,
     /// Share of the measured points that it explains.
     pub explained: f64,
     /// Robust cost, in variances a point.

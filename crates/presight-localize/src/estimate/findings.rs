@@ -65,8 +65,7 @@ pub(super) fn find_at(
         let what = format!("a grey image, and no features of class {class:?} to look for in it");
         return Err(Error::usage(what, "give a layer of features (presight features generates one)"));
     }
-    let mount = sensor.spec().mount;
-    let mut of_sensor = robot.sensor_covariance(&mount);
+    let mut of_sensor = robot.sensor_covariance(&sensor.spec().mount);
     let mut options = FindOptions::default();
     if is_scan {
         (0..3).for_each(|i| of_sensor[i][i] += unstated * unstated);
@@ -76,12 +75,12 @@ pub(super) fn find_at(
     let request = Request::of(Outputs::of(&[]))
         .with_features(features.clone())
         .with_regions(BoxOptions::default().with_sensor(of_sensor));
-    let world_from_sensor = robot.world_from_sensor(&mount);
-    let mut predicted = predictor.predict(world, sensor, &world_from_sensor, &request)?.features.unwrap_or_default();
+    let pose = robot.robot().sensor(sensor);
+    let mut predicted = predictor.predict(world, sensor, &pose, &request)?.features.unwrap_or_default();
     if is_scan {
         predicted.features.retain(|seen| matches!(seen.feature.shape, FeatureShape::Reflector { .. }));
     }
-    let mut findings = find_features(frame, &world_from_sensor, &predicted, &options)?;
+    let mut findings = find_features(frame, &pose, &predicted, &options)?;
     let by_id: BTreeMap<u32, &Feature> = predicted.features.iter().map(|s| (s.feature.id, &*s.feature)).collect();
     for found in &mut findings.features {
         let known = by_id.get(&found.id).map_or(DMat3::ZERO, |feature| place_of(world, feature));

@@ -5,7 +5,7 @@ use super::normal::{CommonError, Freedom, Normal};
 use super::{Gate, Kernel, Residuals, WeakDirection, prior};
 use crate::motion::{motion_between, moved};
 use presight_model::error::Result;
-use presight_model::geometry::{PoseCovariance, PoseEstimate};
+use presight_model::geometry::{PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, apply, inverse, restricted};
 
 /// A pose, and how well it is known.
@@ -50,7 +50,7 @@ pub fn fit(sources: &[&dyn Residuals], known: &PoseEstimate, freedom: Freedom) -
             let none = |_: CommonError| [[0.0; 6]; 6];
             let rows = covariance(&normal, Some(&information), freedom, spread, &none);
             return Ok(Fit {
-                pose: PoseEstimate::new(pose, PoseCovariance::from_rows(rows)),
+                pose: PoseEstimate::new(RobotPose::new(pose), PoseCovariance::from_rows(rows)),
                 weak: weak_directions(&normal, Some(covariance_before), freedom, REACH, spread, LOOSEST, &none),
                 explained: (normal.explained, normal.measured),
             });

@@ -19,7 +19,6 @@ mod reflectors;
 mod run;
 mod solve;
 mod starts;
-mod surface;
 
 pub use crate::motion::{Vector, motion_between, moved, nees};
 pub use answer::{Estimate, EstimateState, Hypothesis, WeakDirection};
@@ -32,7 +31,6 @@ pub(crate) use range::after_middle;
 pub use range::{MeasuredPoint, RangeSource, measured_points};
 pub use solve::Estimator;
 pub use starts::drawn;
-pub use surface::{SeenSurface, SurfaceSource};
 
 use presight_model::geometry::Pose;
 

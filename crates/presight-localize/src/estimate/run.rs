@@ -7,7 +7,7 @@ use super::solve::length;
 use crate::extract::Findings;
 use crate::motion::{motion_between, moved};
 use crate::verdict::ExpectedImage;
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::matrix::{Matrix, quadratic};
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::world::World;
@@ -45,7 +45,11 @@ pub(super) struct Minimum {
 impl Minimum {
     pub(super) fn hypothesis(&self) -> Hypothesis {
         let n = self.normal.measured.max(1) as f64;
-        Hypothesis { pose: self.pose, explained: self.normal.explained_share(), cost: self.normal.chi2 / n }
+        Hypothesis {
+            pose: RobotPose::new(self.pose),
+            explained: self.normal.explained_share(),
+            cost: self.normal.chi2 / n,
+        }
     }
 }
 

@@ -18,7 +18,7 @@ use crate::verdict::{ExpectedImage, Surfaces, Verdicts, body_from_image, judge};
 use glam::DVec3;
 use presight_features::{FeatureOptions, PlacedFeatures};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{Matrix, add_to, inverse, quadratic, restricted, sandwich, scaled, turn};
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::statistics::chi_squared_quantile;
@@ -269,7 +269,7 @@ impl Estimator {
         let one = |m: &FrameMeasurement<'_>| {
             let sensor = m.frame.sensor();
             let pose = &robot.world_from_robot;
-            ExpectedImage::predict(&mut self.predictor, run.world, &mut self.surfaces, sensor, pose)
+            ExpectedImage::predict(&mut self.predictor, run.world, &mut self.surfaces, sensor, &RobotPose::new(*pose))
         };
         let images = run.measured.iter().map(one).collect::<Result<Vec<ExpectedImage>>>()?;
         let unstated = run.model_sigma.hypot(run.offset_sigma);
@@ -303,7 +303,7 @@ impl Estimator {
             let mut known = scaled(&inverse(&information, self.options.freedom.axes()), SETTLED * SETTLED);
             // What the model is off by moves features, too.
             (0..3).for_each(|i| known[i][i] += self.offsets.sigma().powi(2) + run.model_sigma.powi(2));
-            self.expected(run, &PoseEstimate::new(found.pose, PoseCovariance::from_rows(known)))?
+            self.expected(run, &PoseEstimate::new(RobotPose::new(found.pose), PoseCovariance::from_rows(known)))?
         };
         Ok(self.descend(run, &expected, found.pose, schedule))
     }
@@ -369,7 +369,7 @@ impl Estimator {
             let off = motion_between(&best.pose, &other.pose);
             add_to(&mut covariance, &scaled(&apart(&off), 1.0 / (1.0 + others.len() as f64)));
         }
-        let pose = PoseEstimate::new(best.pose, PoseCovariance::from_rows(covariance));
+        let pose = PoseEstimate::new(RobotPose::new(best.pose), PoseCovariance::from_rows(covariance));
         let verdicts = self.verdicts(run, &best, &pose)?;
         let mut findings = best.expected.findings.clone();
         for (m, verdicts) in run.measured.iter().zip(&verdicts) {
@@ -377,7 +377,7 @@ impl Estimator {
             let ranges = MeasuredRanges {
                 verdicts,
                 sensor,
-                world_from_sensor: best.pose * sensor.spec().mount,
+                pose: RobotPose::new(best.pose).sensor(sensor),
                 intensities: m.frame.intensities(),
             };
             findings.iter_mut().for_each(|f| f.explain(&ranges));
@@ -444,7 +444,7 @@ impl Estimator {
     fn blind(&self, run: &Run<'_>) -> Estimate {
         let known = restricted(run.prior.covariance.as_rows(), self.options.freedom.axes());
         Estimate {
-            pose: PoseEstimate::new(run.prior.world_from_robot, PoseCovariance::from_rows(known)),
+            pose: PoseEstimate::new(run.prior.robot(), PoseCovariance::from_rows(known)),
             verdicts: Vec::new(),
             findings: Vec::new(),
             reflectors: (0, 0),
@@ -484,7 +484,7 @@ fn state(best: &Hypothesis, others: &[Minimum], least: f64) -> EstimateState {
         ));
     }
     let Some(other) = others.first() else { return EstimateState::Determined };
-    let off = motion_between(&best.pose, &other.pose);
+    let off = motion_between(&best.pose.world_from_robot(), &other.pose);
     EstimateState::Undetermined(format!(
         "a pose {:.3} m and {:.2} deg off explains {}, the best one {}",
         length(&off[..3]),

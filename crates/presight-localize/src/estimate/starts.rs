@@ -7,7 +7,7 @@ use super::run::{Expectation, LEAD, Minimum, Run};
 use super::solve::{Asked, Estimator, LOOSE, length};
 use crate::motion::{Vector, motion_between, moved};
 use presight_model::error::Result;
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{eigen, restricted, scaled};
 use presight_model::measured::Frame;
 use presight_model::random::SplitMix64;
@@ -76,7 +76,7 @@ impl Estimator {
             // Reflectors matched here would pull a start back from places whose reflectors look alike, and ranges alone may not hold it.
             let around = PoseCovariance::from_rows(scaled(run.prior.covariance.as_rows(), 0.25));
             let look = |start: &Pose| -> Result<Minimum> {
-                let expected = self.expected(run, &PoseEstimate::new(*start, around))?;
+                let expected = self.expected(run, &PoseEstimate::new(RobotPose::new(*start), around))?;
                 Ok(self.descend(run, &expected, *start, &SEARCH))
             };
             starts.iter().map(look).collect::<Result<Vec<Minimum>>>()?

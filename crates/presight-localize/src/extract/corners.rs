@@ -9,31 +9,20 @@ use crate::matching::Detection;
 use glam::{DMat2, DVec2};
 use presight_model::measured::GreyImage;
 
-/// Thresholds of the corner detector.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct CornerOptions {
-    /// Standard deviation of a grey value.
-    pub noise: f64,
-    /// Least grey-value difference across the weaker of the edges that meet.
-    pub least_contrast: f64,
-    /// Most corners returned, the strongest first.
-    pub most: usize,
-}
-
-impl Default for CornerOptions {
-    /// A camera of 8 bits with 1 % of noise.
-    fn default() -> Self {
-        Self { noise: 0.01, least_contrast: 0.06, most: 500 }
+presight_model::options! {
+    /// Thresholds of the corner detector.
+    ///
+    /// Default: a camera of 8 bits with 1 % of noise.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct CornerOptions {
+        /// Standard deviation of a grey value.
+        noise: f64 = 0.01, with_noise;
+        /// Least grey-value difference across the weaker of the edges that meet.
+        least_contrast: f64 = 0.06, with_least_contrast;
+        /// Most corners returned, the strongest first.
+        most: usize = 500, with_most;
     }
 }
-
-presight_model::with_options!(
-    CornerOptions:
-    with_noise noise: f64,
-    with_least_contrast least_contrast: f64,
-    with_most most: usize,
-);
 
 /// Half side of the detection window, pixels.
 const HALF: i64 = 3;

@@ -48,34 +48,22 @@ impl ExpectedEdge {
 /// Shortest edge that is searched, pixels.
 const SHORTEST: f64 = 12.0;
 
-/// Thresholds of the edge detector.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct EdgeOptions {
-    /// Standard deviation of a grey value.
-    pub noise: f64,
-    /// Least grey-value difference across an edge.
-    pub least_contrast: f64,
-    /// Least fraction of the edge's length with measured steps.
-    pub least_support: f64,
-    /// Most edges returned for an expected one.
-    pub most: usize,
-}
-
-impl Default for EdgeOptions {
-    /// A camera of 8 bits with 1 % of noise.
-    fn default() -> Self {
-        Self { noise: 0.01, least_contrast: 0.06, least_support: 0.5, most: 3 }
+presight_model::options! {
+    /// Thresholds of the edge detector.
+    ///
+    /// Default: a camera of 8 bits with 1 % of noise.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct EdgeOptions {
+        /// Standard deviation of a grey value.
+        noise: f64 = 0.01, with_noise;
+        /// Least grey-value difference across an edge.
+        least_contrast: f64 = 0.06, with_least_contrast;
+        /// Least fraction of the edge's length with measured steps.
+        least_support: f64 = 0.5, with_least_support;
+        /// Most edges returned for an expected one.
+        most: usize = 3, with_most;
     }
 }
-
-presight_model::with_options!(
-    EdgeOptions:
-    with_noise noise: f64,
-    with_least_contrast least_contrast: f64,
-    with_least_support least_support: f64,
-    with_most most: usize,
-);
 
 /// A detected edge.
 #[derive(Clone, Debug, PartialEq)]

@@ -12,55 +12,31 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 use presight_features::{FeaturePrediction, SeenFeature, VisibleInterval};
 use presight_model::environment::FeatureShape;
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::measured::{Frame, GreyImage};
 use presight_model::sensor::Sensor;
 
-/// Options of [`find_features`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct FindOptions {
-    /// For grey images.
-    pub edges: EdgeOptions,
-    /// For grey images.
-    pub corners: CornerOptions,
-    /// For range images.
-    pub jumps: JumpOptions,
-    /// For scans with intensities.
-    pub reflectors: ReflectorOptions,
-    /// Covariance of the sensor's position, world axes, metres squared, used to match reflectors by range. `None` if
-    /// unknown; then a reflector at any range matches.
-    pub place: Option<DMat3>,
-    /// Search distance across an edge, in standard deviations of its predicted position.
-    pub deviations: f64,
-    /// Standard deviation of feature positions in the model, pixels, in addition to that of the pose.
-    pub model: f64,
-}
-
-impl Default for FindOptions {
-    fn default() -> Self {
-        Self {
-            edges: EdgeOptions { least_support: 0.7, ..EdgeOptions::default() },
-            corners: CornerOptions::default(),
-            jumps: JumpOptions { least_support: 0.7, ..JumpOptions::default() },
-            reflectors: ReflectorOptions::default(),
-            place: None,
-            deviations: 3.0,
-            model: 0.3,
-        }
+presight_model::options! {
+    /// Options of [`find_features`].
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct FindOptions {
+        /// For grey images.
+        edges: EdgeOptions = EdgeOptions { least_support: 0.7, ..EdgeOptions::default() }, with_edges;
+        /// For grey images.
+        corners: CornerOptions = CornerOptions::default(), with_corners;
+        /// For range images.
+        jumps: JumpOptions = JumpOptions { least_support: 0.7, ..JumpOptions::default() }, with_jumps;
+        /// For scans with intensities.
+        reflectors: ReflectorOptions = ReflectorOptions::default(), with_reflectors;
+        /// Covariance of the sensor's position, world axes, metres squared, used to match reflectors by range. `None`
+        /// if unknown; then a reflector at any range matches.
+        place: Option<DMat3> = None, with_place;
+        /// Search distance across an edge, in standard deviations of its predicted position.
+        deviations: f64 = 3.0, with_deviations;
+        /// Standard deviation of feature positions in the model, pixels, in addition to that of the pose.
+        model: f64 = 0.3, with_model;
     }
 }
-
-presight_model::with_options!(
-    FindOptions:
-    with_edges edges: EdgeOptions,
-    with_corners corners: CornerOptions,
-    with_jumps jumps: JumpOptions,
-    with_reflectors reflectors: ReflectorOptions,
-    with_place place: Option<DMat3>,
-    with_deviations deviations: f64,
-    with_model model: f64,
-);
 
 /// A visible part of a predicted feature, and its classification.
 #[derive(Clone, Debug, PartialEq)]
@@ -132,7 +108,7 @@ pub struct MeasuredRanges<'a> {
     /// The sensor that measured them.
     pub sensor: &'a Sensor,
     /// Its pose, body axes.
-    pub world_from_sensor: Pose,
+    pub pose: SensorPose,
     /// Echo intensities: where the echo is not bright, there is no reflector.
     pub intensities: Option<&'a GreyImage>,
 }
@@ -154,20 +130,20 @@ const BESIDE: f64 = 2.5;
 /// Searches each predicted feature of a frame in its region, and matches all detections at least total cost. Grey
 /// images are searched for edges, corners and, with the Cargo feature `fiducials`, fiducials ([`is_sought`]); range
 /// images for depth edges and, if they have intensities, reflectors. The prediction must be for the frame's sensor at
-/// `world_from_sensor` and have regions of interest ([`presight_predict::Request::with_regions`]); features without a
+/// `pose` and have regions of interest ([`presight_predict::Request::with_regions`]); features without a
 /// region are skipped. [`Findings::explain`] then classifies the features that were not found.
 ///
 /// # Errors
 /// Errors of [`classify`]; [`presight_model::ErrorKind::System`] if the fiducial library runs out of memory.
 pub fn find_features(
     frame: &Frame,
-    world_from_sensor: &Pose,
+    pose: &SensorPose,
     predicted: &FeaturePrediction,
     options: &FindOptions,
 ) -> Result<Findings> {
     let mut findings = Findings::default();
     let mut expected = Vec::new();
-    let view = View { sensor: frame.sensor(), world_from_sensor };
+    let view = View { sensor: frame.sensor(), world_from_sensor: &pose.world_from_sensor() };
     let turn = presight_features::turn(frame.sensor());
     for seen in &predicted.features {
         for part in parts(&view, seen, options).into_iter().filter(|part| can_be_found(frame, part)) {
@@ -393,7 +369,7 @@ fn is_same(a: &Detection, b: &Detection, turn: Option<f64>) -> bool {
 
 /// Verdicts at a reflector, which may stand free. Where ranges meet its surface but the echo is weak, it is missing.
 fn upon(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
-    let view = View { sensor: ranges.sensor, world_from_sensor: &ranges.world_from_sensor };
+    let view = View { sensor: ranges.sensor, world_from_sensor: &ranges.pose.world_from_sensor() };
     let Some([at]) = view.pixels(points_world).as_deref().map(|p| [p[0]]) else { return [0; 7] };
     // The other beams need not have met it.
     let at = if ranges.sensor.height() == 1 { DVec2::new(at.x, 0.0) } else { at };
@@ -406,7 +382,7 @@ fn upon(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
 
 /// Verdicts near a feature, where the range sensor sees its place.
 fn beside(ranges: &MeasuredRanges<'_>, points_world: &[DVec3]) -> [usize; 7] {
-    let view = View { sensor: ranges.sensor, world_from_sensor: &ranges.world_from_sensor };
+    let view = View { sensor: ranges.sensor, world_from_sensor: &ranges.pose.world_from_sensor() };
     match view.pixels(points_world).as_deref() {
         Some([a, b]) => verdicts_along(ranges.verdicts, [*a, *b], BESIDE),
         // Around a point: above, below, left and right.

@@ -5,30 +5,19 @@ use super::{ExpectedEdge, FoundEdge};
 use glam::DVec2;
 use presight_model::measured::{Frame, RangeNoise};
 
-/// Thresholds of the depth edge detector.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct JumpOptions {
-    /// Least jump as a fraction of the nearer range. A jump must also exceed the noise and the slopes of the surfaces.
-    pub least_jump: f64,
-    /// Least fraction of the edge's length with measured jumps.
-    pub least_support: f64,
-    /// Most edges returned for an expected one.
-    pub most: usize,
-}
-
-impl Default for JumpOptions {
-    fn default() -> Self {
-        Self { least_jump: 0.03, least_support: 0.5, most: 3 }
+presight_model::options! {
+    /// Thresholds of the depth edge detector.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct JumpOptions {
+        /// Least jump as a fraction of the nearer range. A jump must also exceed the noise and the slopes of the
+        /// surfaces.
+        least_jump: f64 = 0.03, with_least_jump;
+        /// Least fraction of the edge's length with measured jumps.
+        least_support: f64 = 0.5, with_least_support;
+        /// Most edges returned for an expected one.
+        most: usize = 3, with_most;
     }
 }
-
-presight_model::with_options!(
-    JumpOptions:
-    with_least_jump least_jump: f64,
-    with_least_support least_support: f64,
-    with_most most: usize,
-);
 
 /// Jumps must exceed this many standard deviations of noise.
 const FAR: f64 = 5.0;

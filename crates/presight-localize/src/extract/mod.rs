@@ -6,8 +6,6 @@
 //! | corners | grey images | [`corners_in`] |
 //! | fiducials | grey images | `FiducialFinder` (feature `fiducials`) |
 //! | depth edges | range images | [`jumps_near`] |
-//! | line segments | scans of one row | [`surfaces_in`] |
-//! | planes | range images | [`surfaces_in`] |
 //! | reflectors | scans with intensities | [`reflectors_in`] |
 //!
 //! Each detection has the covariance of its measurement. [`find_features`] searches all edges, corners, fiducials and
@@ -27,7 +25,6 @@ mod lines;
 mod range_tests;
 mod reflectors;
 mod region;
-mod surfaces;
 mod tags;
 #[cfg(test)]
 mod tests;
@@ -42,5 +39,4 @@ pub use jumps::{JumpOptions, jumps_near};
 pub use reflectors::range_to;
 pub use reflectors::{FoundReflector, ReflectorOptions, reflectors_in};
 pub use region::PixelBox;
-pub use surfaces::{FoundSurface, SurfaceOptions, surfaces_in};
 pub use tags::is_sought;

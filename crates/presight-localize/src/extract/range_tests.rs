@@ -1,4 +1,4 @@
-//! Lines, planes, depth edges and reflectors in ranges of known shapes.
+//! Depth edges and reflectors in ranges of known shapes.
 
 use super::*;
 use glam::{DVec2, DVec3};
@@ -33,111 +33,6 @@ fn inside(sensor: &Sensor, walls: &[(DVec3, f64)], random: &mut SplitMix64) -> F
     };
     let noisy = (0..w * h).map(|i| (range(i) + random.normal(NOISE)) as f32).collect();
     Frame::new(0.0, sensor.clone(), Measurement::Range(noisy)).unwrap()
-}
-
-/// The mean squared distance of a found surface's points from its wall, in variances.
-fn off(found: &FoundSurface, walls: &[(DVec3, f64)]) -> f64 {
-    let to = |(n, d): &(DVec3, f64)| {
-        let wall = presight_model::geometry::Plane { normal: *n, offset: *d };
-        found.squared_distance(&wall, 0.0) / found.points.len() as f64
-    };
-    walls.iter().map(to).fold(f64::INFINITY, f64::min)
-}
-
-/// A room has four lines. The wall behind is found over the seam if the box extends over it. Errors are as stated.
-#[test]
-fn a_room_is_four_lines() {
-    let walls = [(DVec3::X, 3.0), (-DVec3::X, 2.0), (DVec3::Y, 1.5), (-DVec3::Y, 2.5)];
-    let (scanner, mut random) = (scanner(), SplitMix64(5));
-    let (mut sum, mut count) = (0.0, 0.0);
-    for _ in 0..20 {
-        let frame = inside(&scanner, &walls, &mut random);
-        let found = surfaces_in(&frame, PixelBox([-153.5, -0.5, 206.5, 0.5]), &SurfaceOptions::default());
-        assert_eq!(found.len(), 4, "{found:?}");
-        assert!(found.iter().map(|s| s.count).sum::<usize>() >= 350);
-        for s in &found {
-            sum += off(s, &walls);
-            count += 1.0;
-            assert!(s.plane.offset < 0.0, "normals look to the sensor");
-            assert!(s.sigma < 0.5 * NOISE && s.scatter < 2.0, "{s:?}");
-        }
-        // In a box of one wall only this one is found, with its normal to a few degrees.
-        let ahead = surfaces_in(&frame, PixelBox([165.0, -0.5, 195.0, 0.5]), &SurfaceOptions::default());
-        assert_eq!(ahead.len(), 1);
-        assert!(ahead[0].plane.normal.dot(-DVec3::X) > 0.995 && ahead[0].count == 31);
-    }
-    let mean = sum / count;
-    assert!((0.6..2.0).contains(&mean), "squared errors of {mean} variances");
-}
-
-/// By hand: nine beams meet a wall 2 m ahead almost perpendicularly, with 1 cm of noise each. The middle of the line
-/// has an error of 1 cm / 3, and its two independent points have sqrt(2) of that.
-#[test]
-fn nine_beams() {
-    let azimuth = Angles::Uniform { start_deg: -0.4, step_deg: 0.1, count: 9 };
-    let narrow =
-        sensor(Geometry::Scanner(Scanner { azimuth, elevation: Angles::Listed(vec![0.0]), beam_height_deg: None }));
-    let range = |c: u32| 2.0 / narrow.ray(c, 0).unwrap().x;
-    let frame = Frame::new(0.0, narrow.clone(), Measurement::Range((0..9).map(|c| range(c) as f32).collect())).unwrap();
-    let options = SurfaceOptions { least_extent: 0.01, flatness: 0.0, ..SurfaceOptions::default() };
-    let found = surfaces_in(&frame, PixelBox::whole_of(&narrow), &options);
-    assert_eq!(found.len(), 1);
-    assert!((found[0].sigma - 2f64.sqrt() * NOISE / 3.0).abs() < 1e-6, "{}", found[0].sigma);
-    // Nothing is found if it is shorter than required, or has fewer points.
-    for strict in [SurfaceOptions { least_extent: 0.1, ..options }, SurfaceOptions { least_points: 10, ..options }] {
-        assert!(surfaces_in(&frame, PixelBox::whole_of(&narrow), &strict).is_empty());
-    }
-}
-
-/// A corner of a room has three planes; in a box on one of them only this one is found.
-#[test]
-fn a_corner_is_three_planes() {
-    // Optical axes: the right wall, the floor, and the wall ahead.
-    let turned = |n: DVec3| glam::DQuat::from_rotation_y(-0.3) * glam::DQuat::from_rotation_x(0.2) * n;
-    let walls = [(turned(DVec3::X), 1.0), (turned(DVec3::Y), 0.9), (turned(DVec3::Z), 3.0)];
-    let (camera, mut random) = (camera(), SplitMix64(9));
-    let (mut sum, mut count) = (0.0, 0.0);
-    for _ in 0..20 {
-        let frame = inside(&camera, &walls, &mut random);
-        let found = surfaces_in(&frame, PixelBox::whole_of(&camera), &SurfaceOptions::default());
-        assert_eq!(found.len(), 3, "{found:?}");
-        assert!(found.iter().map(|s| s.count).sum::<usize>() > 3000);
-        for s in &found {
-            sum += off(s, &walls);
-            count += 1.0;
-            assert!(s.points.len() == 3 && s.scatter < 1.3, "{s:?}");
-        }
-        let one = surfaces_in(&frame, PixelBox([2.0, 2.0, 20.0, 20.0]), &SurfaceOptions::default());
-        assert_eq!(one.len(), 1);
-        assert!(off(&one[0], &walls) < 8.0);
-    }
-    let mean = sum / count;
-    assert!((0.5..3.0).contains(&mean), "squared errors of {mean} variances");
-}
-
-#[test]
-fn what_is_no_surface_is_not_found() {
-    let (camera, scanner) = (camera(), scanner());
-    let mut random = SplitMix64(2);
-    for sensor in [&camera, &scanner] {
-        let pixels = (sensor.width() * sensor.height()) as usize;
-        let whole = PixelBox::whole_of(sensor);
-        let leaves: Vec<f32> = (0..pixels).map(|_| random.uniform(1.0, 4.0) as f32).collect();
-        for values in [leaves, vec![f32::NAN; pixels], vec![f32::INFINITY; pixels], vec![f32::NEG_INFINITY; pixels]] {
-            let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(values)).unwrap();
-            let found = surfaces_in(&frame, whole, &SurfaceOptions::default());
-            assert!(found.is_empty(), "{found:?}");
-        }
-        let frame = inside(sensor, &[(DVec3::Z, 2.0), (DVec3::X, 2.0), (-DVec3::X, 2.0)], &mut random);
-        for odd in [[f64::NAN; 4], [9.0, 9.0, 1.0, 1.0], [-1e300, 0.0, 1e300, 5.0], [5e3, 0.0, 6e3, 5.0]] {
-            // On a full turn, columns continue beyond the width.
-            assert!(sensor.height() == 1 || surfaces_in(&frame, PixelBox(odd), &SurfaceOptions::default()).is_empty());
-        }
-    }
-    // A grey image has no ranges.
-    let grey = GreyImage::new(80, 60, vec![0.5; 4800]).unwrap();
-    let frame = Frame::new(0.0, camera.clone(), Measurement::Grey(grey)).unwrap();
-    assert!(surfaces_in(&frame, PixelBox::whole_of(&camera), &SurfaceOptions::default()).is_empty());
 }
 
 /// A slanted pillar before a wall is found to a fraction of a pixel; slopes, noise and edges without a jump are not.

@@ -9,27 +9,16 @@ use presight_model::sensor::Sensor;
 use presight_model::statistics::median;
 use std::collections::BTreeMap;
 
-/// Thresholds of the reflector detector.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct ReflectorOptions {
-    /// Least intensity; diffuse surfaces stay far below it.
-    pub least: f64,
-    /// Largest extent, metres: wider spots are walls or a blinded receiver.
-    pub widest: f64,
-}
-
-impl Default for ReflectorOptions {
-    fn default() -> Self {
-        Self { least: 0.8, widest: 0.4 }
+presight_model::options! {
+    /// Thresholds of the reflector detector.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct ReflectorOptions {
+        /// Least intensity; diffuse surfaces stay far below it.
+        least: f64 = 0.8, with_least;
+        /// Largest extent, metres: wider spots are walls or a blinded receiver.
+        widest: f64 = 0.4, with_widest;
     }
 }
-
-presight_model::with_options!(
-    ReflectorOptions:
-    with_least least: f64,
-    with_widest widest: f64,
-);
 
 /// A detected reflector.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,40 +1,27 @@
-//! History-based prediction (paper section 3.4): predicts the positions of features from earlier ones.
+//! History-based prediction (paper section 3.4): predicts where features will be in the next image from where they were.
 //!
-//! Between two frames most features move little. A [`Tracker`] follows each feature in the image and returns a small
-//! [`Window`] in which to look for it in the next frame. This takes a fraction of the time of a full prediction and
-//! needs no world and no engine. Full predictions seed the tracker ([`Seed::of_prediction`]), and the detections in the
-//! windows ([`crate::matching::Detection`]) correct it.
+//! Between two frames most features move little. A [`Tracker`] filters the motion of each feature in the image and
+//! returns a small [`Window`] in which to search for it in the next frame. This takes a fraction of the time of a full
+//! prediction and needs no world and no engine. Full predictions seed the tracker ([`Seed::of_prediction`]), and the
+//! detections in the windows ([`crate::matching::Detection`]) correct it.
 //!
 //! | step | what it does |
 //! |---|---|
-//! | [`Tracker::seed`] | starts tracks from a full prediction and ends tracks that the prediction does not show |
-//! | [`Tracker::set_view`] | optional: sets the next sensor pose, so that its optical flow is removed |
+//! | [`Tracker::seed`] | starts tracks from a full prediction and ends those of features that it does not show |
 //! | [`Tracker::predict`] | returns windows that hold each feature with the stated probability |
-//! | [`Tracker::correct`] | matches detections to tracks, corrects tracks, drops tracks missed three times in a row |
-//! | [`Tracker::health`] | reports whether a full prediction is needed, and why |
+//! | [`Tracker::correct`] | matches detections to tracks, corrects tracks, and drops tracks missed three times in a row |
 //!
-//! [`AlternatingTracker`] runs all these steps. `docs/history.md` has the mathematics and the measurements.
+//! `docs/history.md` has the mathematics.
 
-mod adapt;
-mod alternating;
-mod border;
-mod common;
-mod health;
-mod lend;
-mod motion;
+mod filter;
 mod options;
-mod outcome;
 mod seed;
-mod sightings;
 mod track;
 mod tracker;
-mod unaided;
 mod window;
 
-pub use alternating::{AlternatingTracker, FrameWindows, PointProjection, Source};
-pub use health::{Health, PredictionTrigger};
 pub use options::{ImageExtent, TrackerOptions};
-pub use outcome::{End, Match, MatchOutcome, SeedOutcome, Window};
-pub use seed::view;
-pub use track::{Seed, Track};
-pub use tracker::{MAX_DETECTIONS, MAX_TRACKS, Tracker};
+pub use seed::Seed;
+pub use track::Track;
+pub use tracker::{End, Match, MatchOutcome, Tracker};
+pub use window::Window;

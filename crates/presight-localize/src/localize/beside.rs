@@ -6,7 +6,7 @@ use super::{ErrorRates, Localizer};
 use crate::estimate::{Estimate, Freedom};
 use crate::motion::{motion_between, moved};
 use presight_model::error::Result;
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, inverse, quadratic, scaled};
 use presight_model::measured::{Frame, Motion};
 use presight_model::random::SplitMix64;
@@ -75,7 +75,7 @@ impl Beside {
         let outer = std::array::from_fn(|i| std::array::from_fn(|j| off[i] * off[j]));
         let mut covariance = *belief.covariance.as_rows();
         add_to(&mut covariance, &scaled(&outer, share));
-        PoseEstimate::new(belief.world_from_robot, PoseCovariance::from_rows(covariance))
+        PoseEstimate::new(belief.robot(), PoseCovariance::from_rows(covariance))
     }
 }
 
@@ -103,7 +103,7 @@ impl Localizer {
         let mut ends = vec![at];
         if searches {
             own.beside.way = 0.0;
-            let around = PoseEstimate::new(at, loose.covariance);
+            let around = PoseEstimate::new(RobotPose::new(at), loose.covariance);
             ends.extend(self.estimator.minima(world, frames, &around, &starts(&around, prior, freedom), APART)?);
         }
         let followed = second.map(|second| self.estimator.follow(world, frames, &second)).transpose()?;
@@ -139,7 +139,7 @@ impl Localizer {
         }
         let mut there = match followed {
             Some(there) if k + 1 == ends.len() => there,
-            _ => self.estimator.follow(world, frames, &PoseEstimate::new(ends[k], loose.covariance))?,
+            _ => self.estimator.follow(world, frames, &PoseEstimate::new(RobotPose::new(ends[k]), loose.covariance))?,
         };
         if odds[k] < 0.0 {
             std::mem::swap(estimate, &mut there);

@@ -12,7 +12,7 @@ use crate::estimate::{Estimate, EstimateState, Freedom};
 use crate::motion::{motion_between, moved};
 use crate::verdict::Verdict;
 use presight_model::error::Result;
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, inverse, quadratic, scaled};
 use presight_model::measured::{Frame, Motion};
 use presight_model::world::World;
@@ -343,7 +343,7 @@ fn mixed(before: &PoseEstimate, after: &PoseEstimate, share: f64) -> PoseEstimat
     add_to(&mut covariance, &scaled(before.covariance.as_rows(), 1.0 - share));
     let outer = std::array::from_fn(|i| std::array::from_fn(|j| off[i] * off[j]));
     add_to(&mut covariance, &scaled(&outer, share * (1.0 - share)));
-    PoseEstimate::new(mean, PoseCovariance::from_rows(covariance))
+    PoseEstimate::new(RobotPose::new(mean), PoseCovariance::from_rows(covariance))
 }
 
 impl LocalizeOptions {
@@ -389,8 +389,9 @@ mod tests {
     /// on, with a variance of (4 + 1) / 2 + 9 / 4 square centimetres. With a probability of 1 it is what the frame says.
     #[test]
     fn a_frame_that_may_be_wrong_counts_by_its_probability() {
-        let known =
-            |x: f64, sigma: f64| PoseEstimate::of_sigmas(Pose::from_xyz_rpy(DVec3::X * x, 0.0, 0.0, 0.0), sigma, 0.01);
+        let known = |x: f64, sigma: f64| {
+            PoseEstimate::of_sigmas(RobotPose::from_xyz_rpy(DVec3::X * x, 0.0, 0.0, 0.0), sigma, 0.01)
+        };
         let (before, after) = (known(0.0, 0.02), known(0.03, 0.01));
         for (share, x, variance) in [(0.5, 0.015, 4.75e-4), (1.0, 0.03, 1e-4), (0.0, 0.0, 4e-4)] {
             let found = mixed(&before, &after, share);

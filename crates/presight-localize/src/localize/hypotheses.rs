@@ -6,7 +6,7 @@ use super::on_the_floor;
 use crate::estimate::{Freedom, drawn};
 use crate::motion::{motion_between, moved};
 use presight_model::error::Result;
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, scaled};
 use presight_model::measured::{Frame, Motion};
 use presight_model::random::SplitMix64;
@@ -73,7 +73,7 @@ impl Hypotheses {
             let outer = std::array::from_fn(|i| std::array::from_fn(|j| from[i] * from[j]));
             add_to(&mut covariance, &scaled(&outer, *w));
         }
-        PoseEstimate::new(moved(&at, &mean), PoseCovariance::from_rows(covariance))
+        PoseEstimate::new(RobotPose::new(moved(&at, &mean)), PoseCovariance::from_rows(covariance))
     }
 
     /// Draws as many anew, each as often as it weighs, once half of them weigh next to nothing.

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::measured::{Frame, Measurement, RangeNoise};
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -120,7 +120,7 @@ impl PoseLikelihood {
     }
 
     /// The scanner's poses for poses of the robot.
-    pub fn of_sensor(&self, robot: impl Iterator<Item = Pose>) -> Vec<Pose> {
+    pub fn of_sensor(&self, robot: impl Iterator<Item = Pose>) -> Vec<SensorPose> {
         let mount = self.scanner.spec().mount;
         let of_sensor = |pose: Pose| if self.level { upright(&(pose * mount)) } else { pose * mount };
         let mut poses: Vec<Pose> = robot.map(of_sensor).collect();
@@ -128,7 +128,7 @@ impl PoseLikelihood {
         let height = poses.first().map_or(0.0, |pose| pose.translation.z);
         let same = |pose: &&mut Pose| (pose.translation.z - height).abs() < 1e-9;
         poses.iter_mut().filter(same).for_each(|pose| pose.translation.z = height);
-        poses
+        poses.into_iter().map(SensorPose::new).collect()
     }
 
     /// Log-likelihoods of a frame at poses of the robot.

@@ -40,7 +40,7 @@ pub use velocity::{MotionNoise, Stamps, Velocity, along, rate};
 use crate::estimate::{Estimate, Estimator, Freedom};
 use crate::motion::{motion_between, moved};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, restricted, sandwich, turn};
 use presight_model::measured::{Frame, Motion};
 use presight_model::sensor::Sensor;
@@ -210,7 +210,7 @@ impl Localizer {
 
     /// Starts without a pose: `search` looks for the robot in the whole map.
     pub fn unknown(estimator: Estimator, search: Search, options: LocalizeOptions) -> Self {
-        let nowhere = PoseEstimate::of_sigmas(Pose::IDENTITY, options.search, options.search_turn);
+        let nowhere = PoseEstimate::of_sigmas(RobotPose::IDENTITY, options.search, options.search_turn);
         let state = State::Lookout(Lookout::default());
         Self { phase: Phase::Unknown, search: Some(search), state, ..Self::new(estimator, nowhere, options) }
     }
@@ -323,12 +323,12 @@ fn carried(belief: &PoseEstimate, motion: &Motion, freedom: Freedom) -> PoseEsti
     let mut covariance = sandwich(&lever, belief.covariance.as_rows());
     add_to(&mut covariance, motion.covariance.in_world(&from).as_rows());
     // Turning a covariance there and back leaves rounding on the axes that do not move.
-    PoseEstimate::new(to, PoseCovariance::from_rows(restricted(&covariance, freedom.axes())))
+    PoseEstimate::new(RobotPose::new(to), PoseCovariance::from_rows(restricted(&covariance, freedom.axes())))
 }
 
 /// At least as wide as a lost robot is looked for.
 fn widened(belief: &PoseEstimate, options: &LocalizeOptions) -> PoseEstimate {
-    PoseEstimate::of_sigmas(belief.world_from_robot, options.search, options.search_turn)
+    PoseEstimate::of_sigmas(belief.robot(), options.search, options.search_turn)
 }
 
 fn check(before: Option<f64>, frame: &Frame) -> Result<()> {
@@ -363,7 +363,7 @@ mod tests {
     fn a_robot_that_leans_stays_on_its_floor() {
         let at = |x: f64, y: f64, yaw: f64| Pose::from_xyz_rpy(DVec3::new(x, y, 1.2), 0.1, 0.25, yaw);
         let (from, to) = (at(3.0, -2.0, 0.7), at(3.0 - 0.5 * 0.7f64.sin(), -2.0 + 0.5 * 0.7f64.cos(), 1.0));
-        let belief = PoseEstimate::of_sigmas(from, 0.0, 0.0);
+        let belief = PoseEstimate::of_sigmas(RobotPose::new(from), 0.0, 0.0);
         let covariance = PoseCovariance::from_sigmas([1e-2; 6]);
         let tilt = Pose::from_xyz_rpy(DVec3::ZERO, 0.01, -0.01, 0.0).rotation;
         let rising = Pose { translation: to.translation + DVec3::Z * 0.02, rotation: tilt * to.rotation };

@@ -10,7 +10,7 @@ use super::search::is_same;
 use crate::estimate::{Estimator, Freedom};
 use glam::{DQuat, DVec3};
 use presight_model::error::Result;
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose, SensorPose};
 use presight_model::measured::Frame;
 use presight_model::random::SplitMix64;
 use presight_model::sensor::SensorSpec;
@@ -79,8 +79,10 @@ impl Rivals {
         let bounds = world.environment().bounds();
         let all_round = evidence.pixels().all_round(ROUND)?;
         let own = DQuat::from_rotation_z(-heading_of(level_from_sensor)) * level_from_sensor;
-        let (height, mut random) =
-            (evidence.pixels().of_sensor(std::iter::once(*robot))[0].translation.z, SplitMix64(0x71a1));
+        let (height, mut random) = (
+            evidence.pixels().of_sensor(std::iter::once(*robot))[0].world_from_sensor().translation.z,
+            SplitMix64(0x71a1),
+        );
         let leaning = DQuat::from_rotation_z(-heading_of(robot.rotation)) * robot.rotation;
         let mut draw = || {
             let [x, y, turn] = [random.unit(), random.unit(), random.unit()];
@@ -96,7 +98,8 @@ impl Rivals {
             let more: Vec<Pose> = (0..count - poses.len()).map(|_| draw()).collect();
             drawn += more.len();
             let seen = if is_round {
-                estimator.predictor.range_views(world, &all_round, &more)?
+                let poses: Vec<SensorPose> = more.iter().copied().map(SensorPose::new).collect();
+                estimator.predictor.range_views(world, &all_round, &poses)?
             } else {
                 evidence.views(&mut estimator.predictor, world, &more)?
             };
@@ -160,7 +163,7 @@ impl Rivals {
     /// The piece of the map that each reading should meet from a pose of the robot.
     fn pieces<'a>(&'a self, pose: &Pose, view: &'a View) -> impl Iterator<Item = Option<Piece>> + 'a {
         let scanner = self.evidence.pixels().scanner();
-        let sensor = self.evidence.pixels().of_sensor(std::iter::once(*pose))[0];
+        let sensor = self.evidence.pixels().of_sensor(std::iter::once(*pose))[0].world_from_sensor();
         let (width, body) = (scanner.width() as usize, scanner.body_from_image());
         view[0].iter().enumerate().map(move |(i, range)| {
             let ray = scanner.ray((i % width) as u32, (i / width) as u32).filter(|_| range.is_finite())?;
@@ -228,7 +231,7 @@ impl Rivals {
         let thin = self.evidence.pixels().thinned(frame)?;
         let mut ends: Vec<Pose> = Vec::new();
         for pose in self.promising(frame, estimator.model_sigma())? {
-            let prior = PoseEstimate::of_sigmas(pose, NEAR.1, NEAR.2);
+            let prior = PoseEstimate::of_sigmas(RobotPose::new(pose), NEAR.1, NEAR.2);
             ends.push(estimator.refine(world, &thin, &prior)?.pose.world_from_robot);
         }
         let logs = self.of_places(estimator, world, frame, &ends)?;

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::measured::Frame;
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
@@ -65,13 +65,13 @@ impl RoundViews {
         (spec.range_min, spec.range_max) = (sensor.spec().range_min, sensor.spec().range_max);
         let request = BatchRequest { images: Some(Outputs::of(&[Output::Range]).into()), ..BatchRequest::default() };
         let all = places.len();
-        let poses = places.into_iter().map(|translation| Pose { translation, ..Pose::IDENTITY });
+        let poses = places.into_iter().map(|translation| SensorPose::new(Pose { translation, ..Pose::IDENTITY }));
         let mut views = Self { places: Vec::new(), range: Vec::new(), level_from_sensor };
         for (k, item) in predictor.batch(world, &Sensor::new(spec)?, poses, &request)?.enumerate() {
             watch(k, all);
             let item = item?;
             if is_free(&item.images.range) {
-                views.places.push(item.world_from_sensor.translation);
+                views.places.push(item.pose.world_from_sensor().translation);
                 views.range.extend_from_slice(&item.images.range);
             }
         }

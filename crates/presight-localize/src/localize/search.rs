@@ -7,7 +7,7 @@ use super::round::{HEADINGS, RoundViews, STEP};
 use crate::estimate::{Estimate, Estimator, Freedom};
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::measured::Frame;
 use presight_model::sensor::{Geometry, Sensor};
 use presight_model::world::World;
@@ -210,7 +210,7 @@ impl Search {
         let robot_from_sensor = self.likelihood.scanner().spec().mount.inverse();
         let arm = robot_from_sensor.translation.truncate().length();
         let prior = |sensor: Pose, turn: f64| {
-            PoseEstimate::of_sigmas(sensor * robot_from_sensor, 0.5 * cell + turn * arm, turn)
+            PoseEstimate::of_sigmas(RobotPose::new(sensor * robot_from_sensor), 0.5 * cell + turn * arm, turn)
         };
         let predictor = &mut estimator.predictor;
         match &self.views {
@@ -231,7 +231,7 @@ impl Search {
                 let found = peaks(panoramas.places(), headings.count() as usize, &weights, most, cell);
                 let pose = |(place, heading): (usize, u32)| {
                     let pose = headings.pose(panoramas.places()[place], heading);
-                    Pose { rotation: pose.rotation * own, ..pose }
+                    Pose { rotation: pose.world_from_sensor().rotation * own, ..pose.world_from_sensor() }
                 };
                 Ok(found.into_iter().map(|peak| prior(pose(peak), turn)).collect())
             }

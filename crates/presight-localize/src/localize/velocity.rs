@@ -14,7 +14,7 @@ use super::on_the_floor;
 use crate::estimate::Freedom;
 use crate::motion::{Vector, motion_between};
 use glam::{DMat3, DQuat, DVec3};
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{Matrix, apply, inverse, product, restricted, turn};
 use presight_model::measured::Motion;
 use presight_model::statistics::chi_squared_quantile;
@@ -306,7 +306,10 @@ impl Velocity {
         self.spread(&pose, &to, seconds, freedom);
         // Two stamps bound the time between two frames.
         self.add_jitter(&to, 2f64.sqrt() * stamps.sigma, freedom);
-        (odometry.unwrap_or(motion), PoseEstimate::new(to, PoseCovariance::from_rows(self.pose_covariance())))
+        (
+            odometry.unwrap_or(motion),
+            PoseEstimate::new(RobotPose::new(to), PoseCovariance::from_rows(self.pose_covariance())),
+        )
     }
 
     /// The odometry between two stamps as a measurement of the motion between two frames that count as measured `late` seconds
@@ -334,7 +337,7 @@ impl Velocity {
         let to = from * motion.previous_from_current;
         then.spread(&from, &to, -seconds, freedom);
         then.add_jitter(&to, stamp_sigma, freedom);
-        PoseEstimate::new(to, PoseCovariance::from_rows(then.pose_covariance()))
+        PoseEstimate::new(RobotPose::new(to), PoseCovariance::from_rows(then.pose_covariance()))
     }
 
     /// What the pose may be off by because its time is.

@@ -1,6 +1,7 @@
 //! By hand: the speed of robots, and its deviation.
 
 use super::*;
+use presight_model::geometry::RobotPose;
 
 fn noise() -> MotionNoise {
     let usual = MotionNoise::default().with_most_step(9.0).with_most_turn(9.0);
@@ -8,7 +9,7 @@ fn noise() -> MotionNoise {
 }
 
 fn known(metres: f64) -> PoseEstimate {
-    PoseEstimate::new(Pose::IDENTITY, PoseCovariance::from_sigmas([metres, metres, 0.0, 0.0, 0.0, 1e-6]))
+    PoseEstimate::new(RobotPose::IDENTITY, PoseCovariance::from_sigmas([metres, metres, 0.0, 0.0, 0.0, 1e-6]))
 }
 
 /// By hand: a quarter turn of radius 1 m in two seconds: pi/4 m/s and pi/4 rad/s lead to (1, 1), turned by 90 degrees.

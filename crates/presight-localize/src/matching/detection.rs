@@ -3,7 +3,7 @@
 use glam::{DMat2, DVec2};
 
 /// Largest number of corners of an outline. Outlines are compared corner by corner, at every starting corner.
-pub(super) const MAX_OUTLINE: usize = 16;
+pub(crate) const MAX_OUTLINE: usize = 16;
 
 /// Position of a feature in pixel coordinates (column, row). The centre of the top-left pixel is (0, 0).
 #[derive(Clone, Debug, PartialEq)]

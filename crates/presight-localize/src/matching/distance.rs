@@ -62,7 +62,7 @@ impl Gate {
 }
 
 /// A detection's covariance, limited from below.
-pub fn floored(covariance: DMat2) -> DMat2 {
+pub(crate) fn floored(covariance: DMat2) -> DMat2 {
     covariance + DMat2::from_diagonal(DVec2::splat(FLOOR))
 }
 
@@ -71,12 +71,12 @@ fn variance_along(direction: DVec2, covariance: DMat2) -> f64 {
 }
 
 /// Multiple of `turn` that brings a detection's column `x` nearest to `near`.
-pub fn unwrap(turn: Option<f64>, near: f64, x: f64) -> f64 {
+pub(crate) fn unwrap(turn: Option<f64>, near: f64, x: f64) -> f64 {
     turn.map_or(0.0, |turn| turn * ((near - x) / turn).round())
 }
 
 /// Difference of two directions modulo pi, in -pi/2..pi/2.
-pub fn turn_apart(a: f64, b: f64) -> f64 {
+pub(super) fn turn_apart(a: f64, b: f64) -> f64 {
     let apart = (a - b) / PI;
     PI * (apart - apart.round())
 }
@@ -254,43 +254,27 @@ impl SegmentPair {
     }
 }
 
-/// The measurement of one defining point.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Aligned {
-    /// Measured position.
-    pub at: DVec2,
-    /// Covariance of the measurement.
-    pub covariance: DMat2,
-    /// Unit direction along which the point is not fixed: along the segment, unless both ends are corners.
-    pub slides: Option<DVec2>,
-}
-
-/// Returns a measurement for each defining point of the expected shape, in order. The end of a segment without a corner
-/// has the standard deviation `slide` along the segment, pixels.
-pub fn align(
-    expected: &ExpectedFeature,
-    found: &Detection,
-    noise: f64,
-    slide: f64,
-    turn: Option<f64>,
-    into: &mut Vec<Aligned>,
-) {
-    into.clear();
-    let covariance = floored(found.covariance * noise);
+/// Returns the measured position of each defining point of the expected shape, in order, with its covariance. An
+/// extractor breaks a segment anywhere, so the end of one that is no corner has the variance of a place that is uniform
+/// along the expected segment: its squared length / 12.
+pub(crate) fn aligned(expected: &ExpectedFeature, found: &Detection, turn: Option<f64>) -> Vec<(DVec2, DMat2)> {
+    let covariance = floored(found.covariance);
     let points = found.shape.points();
     let wanted = expected.shape.points();
     let shift = DVec2::new(unwrap(turn, wanted[0].x, points[0].x), 0.0);
     match (&expected.shape, &found.shape) {
         (Shape::Segment { ends, corners }, Shape::Segment { ends: found_ends, corners: found_corners }) => {
-            let Some(seen) = SegmentPair::new(ends, found_ends.map(|q| q + shift), found_corners) else { return };
-            for i in 0..2 {
+            let seen = SegmentPair::new(ends, found_ends.map(|q| q + shift), found_corners);
+            let measured = |seen: &SegmentPair, i: usize| {
                 let is_fixed = corners[i] && seen.corners[i];
                 let across = variance_along(seen.normal, covariance) * seen.spread(i);
-                let along = if is_fixed { variance_along(seen.along, covariance) } else { slide * slide };
-                let covariance = outer(seen.normal) * across + outer(seen.along) * along;
-                let slides = (!is_fixed).then_some(seen.along);
-                into.push(Aligned { at: seen.ends[i], covariance, slides });
-            }
+                let along = match is_fixed {
+                    true => variance_along(seen.along, covariance),
+                    false => ends[0].distance_squared(ends[1]) / 12.0,
+                };
+                (seen.ends[i], outer(seen.normal) * across + outer(seen.along) * along)
+            };
+            seen.iter().flat_map(|seen| [0, 1].map(|i| measured(seen, i))).collect()
         }
         (Shape::Patch(p), Shape::Patch(q)) => {
             let apart = |first: usize| -> f64 {
@@ -299,10 +283,9 @@ pub fn align(
                 begun.squared
             };
             let best = (0..q.len()).min_by(|a, b| apart(*a).total_cmp(&apart(*b))).unwrap_or(0);
-            let at = |i: usize| q[(i + best) % q.len()] + shift;
-            into.extend((0..p.len()).map(|i| Aligned { at: at(i), covariance, slides: None }));
+            (0..p.len()).map(|i| (q[(i + best) % q.len()] + shift, covariance)).collect()
         }
-        _ => into.extend(points.iter().map(|q| Aligned { at: *q + shift, covariance, slides: None })),
+        _ => points.iter().map(|q| (*q + shift, covariance)).collect(),
     }
 }
 
@@ -406,9 +389,8 @@ mod tests {
         assert!(compare(&p, &Detection::new(Shape::Patch(turned[..3].to_vec()), 1.0), 1.0, None).is_none());
         let f = expected(Shape::Fiducial(square), 1.0);
         assert!(compare(&f, &Detection::new(Shape::Fiducial(turned), 1.0), 1.0, None).unwrap().squared > 100.0);
-        let mut aligned = Vec::new();
-        align(&p, &Detection::new(Shape::Patch(turned.to_vec()), 1.0), 1.0, 1.0, None, &mut aligned);
-        assert_eq!(aligned.iter().map(|a| a.at).collect::<Vec<_>>(), square);
+        let found = aligned(&p, &Detection::new(Shape::Patch(turned.to_vec()), 1.0), None);
+        assert_eq!(found.iter().map(|(at, _)| *at).collect::<Vec<_>>(), square);
     }
 
     #[test]

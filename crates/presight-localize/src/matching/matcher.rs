@@ -28,22 +28,6 @@ pub struct ExpectedFeature {
     pub properties: ExpectedProperties,
 }
 
-impl ExpectedFeature {
-    /// The most likely detection, with the covariance of its points.
-    pub(crate) fn detected(&self, covariance: DMat2) -> Detection {
-        let ExpectedProperties { strength, contrast, direction, marker, range } = self.properties.clone();
-        let mean = |value: Option<UncertainValue>| value.map(|v| v.mean);
-        let properties = DetectionProperties {
-            strength: mean(strength),
-            contrast: mean(contrast),
-            direction: mean(direction),
-            marker,
-            range,
-        };
-        Detection { shape: self.shape.clone(), covariance, properties }
-    }
-}
-
 /// Noise of an extractor's properties, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PropertyNoise {
@@ -62,58 +46,33 @@ impl Default for PropertyNoise {
     }
 }
 
-/// Gates and costs.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct Matcher {
-    /// Standard normal deviate of the probability that a feature's own detection passes the gate; 3.09 means 99.9 %.
-    pub gate_deviate: f64,
-    /// Probability that a feature in its window is detected.
-    pub detection_probability: f64,
-    /// Clutter detections per pixel squared.
-    pub clutter_density: f64,
-    /// Factor on the covariance of every detection.
-    pub noise: f64,
-    /// Noise of measured properties.
-    pub properties: PropertyNoise,
-    /// Columns of a full turn, for an image that covers 360 degrees.
-    pub turn: Option<f64>,
-}
-
-impl Default for Matcher {
-    fn default() -> Self {
-        Self {
-            gate_deviate: 3.090_232,
-            detection_probability: 0.9,
-            clutter_density: 1e-4,
-            noise: 1.0,
-            properties: PropertyNoise::default(),
-            turn: None,
-        }
+presight_model::options! {
+    /// Gates and costs.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct Matcher {
+        /// Standard normal deviate of the probability that a feature's own detection passes the gate; 3.09 means 99.9
+        /// %.
+        gate_deviate: f64 = 3.090_232, with_gate_deviate;
+        /// Probability that a feature in its window is detected.
+        detection_probability: f64 = 0.9, with_detection_probability;
+        /// Clutter detections per pixel squared.
+        clutter_density: f64 = 1e-4, with_clutter_density;
+        /// Factor on the covariance of every detection.
+        noise: f64 = 1.0, with_noise;
+        /// Noise of measured properties.
+        properties: PropertyNoise = PropertyNoise::default(), with_properties;
+        /// Columns of a full turn, for an image that covers 360 degrees.
+        turn: Option<f64> = None, with_turn;
     }
 }
-
-presight_model::with_options!(
-    Matcher:
-    with_gate_deviate gate_deviate: f64,
-    with_detection_probability detection_probability: f64,
-    with_clutter_density clutter_density: f64,
-    with_noise noise: f64,
-    with_properties properties: PropertyNoise,
-    with_turn turn: Option<f64>,
-);
 
 /// Candidate pairs of features and detections.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Candidates {
     /// Rows are expected features, columns detections.
     pub pairs: Vec<CandidatePair>,
-    /// Distances of the pairs in the image.
-    pub distances: Vec<Distance>,
     /// Detections with invalid values.
     pub rejected: Vec<(u32, Rejection)>,
-    /// Number of detections in each window, candidates or not.
-    pub in_window: Vec<u32>,
 }
 
 /// Constants of gates and costs, computed once.
@@ -150,7 +109,7 @@ impl Matcher {
 
     /// Returns the pairs of one kind with the detection in the window, and position and properties within the gate.
     pub fn candidates(&self, expected: &[ExpectedFeature], found: &[Detection]) -> Candidates {
-        let mut all = Candidates { in_window: vec![0; expected.len()], ..Candidates::default() };
+        let mut all = Candidates::default();
         let mut places = Vec::with_capacity(found.len());
         for (i, detection) in found.iter().enumerate() {
             match detection.check() {
@@ -165,11 +124,10 @@ impl Matcher {
         let has_segments = expected.iter().any(|feature| matches!(feature.shape, Shape::Segment { .. }));
         let lines: Vec<Option<FoundLine>> =
             if has_segments { found.iter().map(|d| FoundLine::of(d, self.noise)).collect() } else { Vec::new() };
-        let mut near: Vec<(CandidatePair, Distance)> = Vec::new();
+        let mut near: Vec<CandidatePair> = Vec::new();
         let mut room = vec![0; found.len() * if self.turn.is_some() { 3 } else { 1 } + 1];
         for (row, feature) in expected.iter().enumerate() {
             let inside = self.find_inside(feature, &bins, &mut room);
-            all.in_window[row] = inside.len() as u32;
             near.clear();
             for column in inside {
                 if let Shape::Segment { ends, .. } = &feature.shape
@@ -178,15 +136,12 @@ impl Matcher {
                 {
                     continue;
                 }
-                if let Some((cost, distance)) = self.cost(feature, &found[*column as usize], &level) {
-                    near.push((CandidatePair { row: row as u32, column: *column, cost }, distance));
+                if let Some(cost) = self.cost(feature, &found[*column as usize], &level) {
+                    near.push(CandidatePair { row: row as u32, column: *column, cost });
                 }
             }
-            near.sort_unstable_by(|(a, _), (b, _)| a.cost.total_cmp(&b.cost).then(a.column.cmp(&b.column)));
-            for (pair, distance) in near.iter().take(MAX_CANDIDATES) {
-                all.pairs.push(*pair);
-                all.distances.push(*distance);
-            }
+            near.sort_unstable_by(|a, b| a.cost.total_cmp(&b.cost).then(a.column.cmp(&b.column)));
+            all.pairs.extend(near.iter().take(MAX_CANDIDATES));
         }
         all
     }
@@ -240,7 +195,7 @@ impl Matcher {
     }
 
     /// Returns true if a detection is within the gate by position alone.
-    pub fn is_near(&self, feature: &ExpectedFeature, detection: &Detection) -> bool {
+    pub(crate) fn is_near(&self, feature: &ExpectedFeature, detection: &Detection) -> bool {
         compare(feature, detection, self.noise, self.turn, &Gate::new(self.gate_deviate)).is_some()
     }
 
@@ -250,7 +205,7 @@ impl Matcher {
     }
 
     /// Cost of a pair; `None` outside the gate.
-    fn cost(&self, feature: &ExpectedFeature, detection: &Detection, level: &Level) -> Option<(f64, Distance)> {
+    fn cost(&self, feature: &ExpectedFeature, detection: &Detection, level: &Level) -> Option<f64> {
         // Most pairs fail the position test, which is the cheapest.
         let distance = compare(feature, detection, self.noise, self.turn, &level.gate)?;
         let alike = self.compare_properties(&feature.properties, &detection.properties)?;
@@ -261,7 +216,7 @@ impl Matcher {
         }
         let target = 0.5 * squared + distance.log_volume + alike.log_volume;
         let clutter = level.log_clutter + distance.log_clutter + alike.log_clutter;
-        Some((target + clutter - level.log_detection, distance))
+        Some(target + clutter - level.log_detection)
     }
 
     /// Returns the distance between the properties that both sides know; `None` for two different markers.
@@ -335,7 +290,6 @@ mod tests {
         assert_eq!(got.pairs.iter().map(|p| p.column).collect::<Vec<_>>(), [0, 1, 2]);
         // The variance is 2 and the squared distance is 1, so the cost differs by 1/2 * 1/2.
         assert!((got.pairs[1].cost - got.pairs[0].cost - 0.25).abs() < 1e-4);
-        assert_eq!(got.in_window, [3]);
     }
 
     #[test]
@@ -403,7 +357,7 @@ mod tests {
         let found: Vec<Detection> =
             (0..5000).map(|i| Detection::point(DVec2::new(100.0 + f64::from(i) * 2e-4, 50.0), 1.0)).collect();
         let got = Matcher::default().candidates(&[point(100.0, 50.0)], &found);
-        assert_eq!((got.pairs.len(), got.in_window[0]), (MAX_CANDIDATES, 5000));
+        assert_eq!(got.pairs.len(), MAX_CANDIDATES);
         assert_eq!(got.pairs[0].column, 0);
     }
 

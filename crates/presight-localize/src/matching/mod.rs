@@ -23,11 +23,9 @@ mod bins;
 mod detection;
 mod distance;
 mod matcher;
-mod rivals;
 
 pub use assign::{Assignment, CandidatePair, MAX_GROUP_WORK, assign};
+pub(crate) use detection::MAX_OUTLINE;
 pub use detection::{Detection, DetectionProperties, ExpectedProperties, Marker, Rejection, Shape, UncertainValue};
-pub use distance::Distance;
-pub use distance::{Aligned, align, floored, turn_apart, unwrap};
+pub(crate) use distance::{aligned, floored, unwrap};
 pub use matcher::{Candidates, ExpectedFeature, MAX_CANDIDATES, Matcher, PropertyNoise};
-pub(crate) use rivals::withhold_doubtful;

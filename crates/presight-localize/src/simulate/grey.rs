@@ -2,7 +2,7 @@
 //! pixel, with blur and noise. This is not a renderer: there are no shadows, highlights or textures.
 
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::RobotPose;
 use presight_model::measured::{Frame, GreyImage, Measurement};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::{Camera, Geometry, Sensor};
@@ -20,11 +20,11 @@ const FINE: u32 = 3;
 /// use presight::simulate::GreySimulator;
 /// use presight::environment::Environment;
 /// use presight::sensor::{Camera, Geometry, SensorSpec};
-/// use presight::{Options, Pose, Predictor, Sensor, World};
+/// use presight::{Options, Predictor, RobotPose, Sensor, World};
 /// let camera = Camera::pinhole(32, 24, 30.0, 30.0, 15.5, 11.5);
 /// let camera = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera)))?;
 /// let mut simulator = GreySimulator::new(Predictor::new(Options::default())?, camera, 0.7, 0.0, 1)?;
-/// let frame = simulator.frame(&World::new(Environment::new()), 0.0, &Pose::IDENTITY)?;
+/// let frame = simulator.frame(&World::new(Environment::new()), 0.0, &RobotPose::IDENTITY)?;
 /// assert!(frame.grey().unwrap().values().iter().all(|v| *v == 0.0), "nothing is there, and nothing is black");
 /// # Ok::<(), presight::Error>(())
 /// ```
@@ -71,11 +71,10 @@ impl GreySimulator {
     ///
     /// # Errors
     /// Errors of [`Predictor::predict_images`], and a stamp that is not finite.
-    pub fn frame(&mut self, world: &World, stamp: f64, world_from_robot: &Pose) -> Result<Frame> {
+    pub fn frame(&mut self, world: &World, stamp: f64, robot: &RobotPose) -> Result<Frame> {
         let mut images = Images::default();
-        let world_from_sensor = *world_from_robot * self.camera.spec().mount;
         let outputs = Outputs::of(&[Output::Echo]);
-        self.predictor.predict_images(world, &self.fine, &world_from_sensor, outputs, &mut images)?;
+        self.predictor.predict_images(world, &self.fine, &robot.sensor(&self.camera), outputs, &mut images)?;
         let (w, h) = (self.camera.width() as usize, self.camera.height() as usize);
         let mut picture = vec![0.0; w * h];
         let side = FINE as usize;

@@ -11,7 +11,7 @@ pub use surroundings::{Walkers, displace};
 
 use crate::estimate::moved;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, PoseCovariance};
+use presight_model::geometry::{Pose, PoseCovariance, RobotPose};
 use presight_model::measured::{Frame, GreyImage, Measurement, Motion, RangeNoise};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::Sensor;
@@ -19,33 +19,20 @@ use presight_model::world::World;
 use presight_predict::predict::Predictor;
 use presight_render::plan::{Images, Output, Outputs};
 
-/// Errors of a simulated sensor and its robot beyond the sensor's stated noise.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct Disturbances {
-    /// Fraction of the pixels without a measurement.
-    pub drop_outs: f64,
-    /// Fraction of the pixels at a range jump that measure a range in between.
-    pub mixed_pixels: f64,
-    /// Odometry error as a fraction of the distance, one standard deviation.
-    pub slip: f64,
-    /// Odometry error in radians per radian turned and per metre driven, one standard deviation.
-    pub turn_slip: f64,
-}
-
-impl Default for Disturbances {
-    fn default() -> Self {
-        Self { drop_outs: 0.01, mixed_pixels: 0.3, slip: 0.02, turn_slip: 0.02 }
+presight_model::options! {
+    /// Errors of a simulated sensor and its robot beyond the sensor's stated noise.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct Disturbances {
+        /// Fraction of the pixels without a measurement.
+        drop_outs: f64 = 0.01, with_drop_outs;
+        /// Fraction of the pixels at a range jump that measure a range in between.
+        mixed_pixels: f64 = 0.3, with_mixed_pixels;
+        /// Odometry error as a fraction of the distance, one standard deviation.
+        slip: f64 = 0.02, with_slip;
+        /// Odometry error in radians per radian turned and per metre driven, one standard deviation.
+        turn_slip: f64 = 0.02, with_turn_slip;
     }
 }
-
-presight_model::with_options!(
-    Disturbances:
-    with_drop_outs drop_outs: f64,
-    with_mixed_pixels mixed_pixels: f64,
-    with_slip slip: f64,
-    with_turn_slip turn_slip: f64,
-);
 
 /// A range that differs from its neighbour's by more than this fraction is behind an edge.
 const JUMP: f64 = 0.05;
@@ -56,11 +43,11 @@ const JUMP: f64 = 0.05;
 /// ```
 /// use presight::simulate::{Disturbances, Simulator};
 /// use presight::environment::Environment;
-/// use presight::{Options, Pose, Predictor, World};
+/// use presight::{Options, Predictor, RobotPose, World};
 /// let world = World::new(Environment::new());
 /// let scanner = presight::preset("laser-scanner")?;
 /// let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 7)?;
-/// let frame = simulator.frame(&world, 0.0, &Pose::IDENTITY)?;
+/// let frame = simulator.frame(&world, 0.0, &RobotPose::IDENTITY)?;
 /// assert!(frame.ranges().iter().all(|r| !r.is_finite()), "nothing is there");
 /// # Ok::<(), presight::Error>(())
 /// ```
@@ -125,12 +112,11 @@ impl Simulator {
     ///
     /// # Errors
     /// Errors of [`Predictor::predict_images`], and a stamp that is not finite.
-    pub fn frame(&mut self, world: &World, stamp: f64, world_from_robot: &Pose) -> Result<Frame> {
+    pub fn frame(&mut self, world: &World, stamp: f64, robot: &RobotPose) -> Result<Frame> {
         let asked = [Output::Range, Output::CosIncidence, Output::Echo];
         let outputs = Outputs::of(&asked[..if self.intensities.is_some() { 3 } else { 2 }]);
-        let world_from_sensor = *world_from_robot * self.sensor.spec().mount;
         let mut seen = Images::default();
-        self.predictor.predict_images(world, &self.sensor, &world_from_sensor, outputs, &mut seen)?;
+        self.predictor.predict_images(world, &self.sensor, &robot.sensor(&self.sensor), outputs, &mut seen)?;
         let pixels = self.measure(&seen.range, &seen.cos_incidence);
         let ranges = pixels.iter().map(|p| p.range).collect();
         let mut frame = Frame::new(stamp, self.sensor.clone(), Measurement::Range(ranges))?;
@@ -138,7 +124,8 @@ impl Simulator {
             let values = intensities.measure(&seen.echo, &pixels);
             frame = frame.with_intensities(GreyImage::new(self.sensor.width(), self.sensor.height(), values)?)?;
         }
-        frame.motion = self.before.replace(*world_from_robot).map(|before| self.odometry(&before, world_from_robot));
+        let now = robot.world_from_robot();
+        frame.motion = self.before.replace(now).map(|before| self.odometry(&before, &now));
         Ok(frame)
     }
 

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3, Vec3};
 use presight_model::change::Change;
 use presight_model::environment::{Material, Mesh, NewObject};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::random::SplitMix64;
 use presight_model::world::World;
 use std::f64::consts::TAU;
@@ -76,7 +76,7 @@ impl Walkers {
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] for too many people, no pose or a non-finite height; errors of
     /// [`World::apply`].
-    pub fn new(world: &mut World, path: &[Pose], height: f64, count: usize, seed: u64) -> Result<Self> {
+    pub fn new(world: &mut World, path: &[RobotPose], height: f64, count: usize, seed: u64) -> Result<Self> {
         if count > MOST_WALKERS || !height.is_finite() || (path.is_empty() && count > 0) {
             let what = format!("{count} walkers near {} poses {height} m above the floor", path.len());
             return Err(Error::usage(what, format!("give at most {MOST_WALKERS}, a pose, and a finite height")));
@@ -84,7 +84,7 @@ impl Walkers {
         let mut random = SplitMix64(seed ^ 0x77a1_6e75);
         let mut walkers = Vec::new();
         for k in 0..count {
-            let near = path[random.below(path.len())].translation;
+            let near = path[random.below(path.len())].world_from_robot().translation;
             let (heading, side) = (random.uniform(0.0, TAU), random.uniform(ASIDE.0, ASIDE.1));
             let direction = DVec3::new(heading.cos(), heading.sin(), 0.0);
             let middle = near + side * DVec3::new(-direction.y, direction.x, 0.0);
@@ -141,7 +141,7 @@ mod tests {
     /// A walker stays within its 4 m path and 2.5 m to the side of the pose, walks at 1 m/s, and stands on the floor.
     #[test]
     fn walkers_walk_near_the_robot() {
-        let path = [Pose::from_xyz_rpy(DVec3::new(10.0, -3.0, 1.2), 0.0, 0.0, 0.5)];
+        let path = [RobotPose::from_xyz_rpy(DVec3::new(10.0, -3.0, 1.2), 0.0, 0.0, 0.5)];
         let mut world = World::new(Environment::new());
         let walkers = Walkers::new(&mut world, &path, 1.2, 20, 3).unwrap();
         assert_eq!(world.environment().objects().len(), 20);
@@ -157,7 +157,7 @@ mod tests {
                 let step = a.distance(*b);
                 assert!(step < 0.1 + 1e-9 && b.z.abs() < 1e-9, "{step} {b}");
                 way += step;
-                let off = (*b - path[0].translation).truncate().length();
+                let off = (*b - path[0].world_from_robot().translation).truncate().length();
                 assert!((1.0 - 1e-9..3.3).contains(&off), "{off}");
             }
             before = now;
@@ -172,8 +172,8 @@ mod tests {
         let mut world = World::new(Environment::new());
         assert!(displace(&mut world, -0.1, 1).is_err() && displace(&mut world, f64::NAN, 1).is_err());
         assert!(Walkers::new(&mut world, &[], 1.0, 1, 1).is_err());
-        assert!(Walkers::new(&mut world, &[Pose::IDENTITY], f64::NAN, 1, 1).is_err());
-        assert!(Walkers::new(&mut world, &[Pose::IDENTITY], 1.0, 1001, 1).is_err());
+        assert!(Walkers::new(&mut world, &[RobotPose::IDENTITY], f64::NAN, 1, 1).is_err());
+        assert!(Walkers::new(&mut world, &[RobotPose::IDENTITY], 1.0, 1001, 1).is_err());
         assert!(Walkers::new(&mut world, &[], 1.0, 0, 1).unwrap().walk(&mut world, 1.0).is_ok());
     }
 }

@@ -6,7 +6,7 @@ use super::surfaces::ObjectErrors;
 use glam::{DVec3, Vec3};
 use presight_model::environment::MarkKind;
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose, SensorPose};
 use presight_model::sensor::{Geometry, Sensor, body_from_optical_rotation};
 use presight_model::world::World;
 use presight_predict::predict::Predictor;
@@ -90,13 +90,13 @@ impl ExpectedImage {
         world: &World,
         surfaces: &mut Surfaces,
         sensor: &Sensor,
-        world_from_robot: &Pose,
+        robot: &RobotPose,
     ) -> Result<Self> {
-        let world_from_sensor = *world_from_robot * sensor.spec().mount;
+        let pose = robot.sensor(sensor);
         let outputs = Outputs::of(&[Output::Range, Output::PolygonId]);
         let mut images = Images::default();
-        predictor.predict_images(world, sensor, &world_from_sensor, outputs, &mut images)?;
-        Self::of_images(predictor, world, surfaces, sensor, &world_from_sensor, &images)
+        predictor.predict_images(world, sensor, &pose, outputs, &mut images)?;
+        Self::of_images(predictor, world, surfaces, sensor, &pose, &images)
     }
 
     /// Arranges images of [`Output::Range`] and [`Output::PolygonId`] that were predicted at this pose of the sensor,
@@ -109,12 +109,12 @@ impl ExpectedImage {
         world: &World,
         surfaces: &mut Surfaces,
         sensor: &Sensor,
-        world_from_sensor: &Pose,
+        pose: &SensorPose,
         images: &Images,
     ) -> Result<Self> {
         surfaces.follow(world);
         let errors = surfaces.object_errors(world, &sensor.spec().class);
-        let world_from_image = *world_from_sensor * body_from_image(sensor);
+        let world_from_image = pose.world_from_sensor() * body_from_image(sensor);
         let image_from_world = world_from_image.inverse();
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
         images.polygon_id.iter().for_each(|id| surfaces.see(world, *id));

@@ -51,7 +51,7 @@ pub fn of_coarse_model(
         return Err(Error::usage("verdicts on a grey image", "give a frame of ranges"));
     }
     robot.covariance.check().map_err(|e| e.at("the robot's pose"))?;
-    let (surfaces, pose) = (&mut Surfaces::default(), &robot.world_from_robot);
+    let (surfaces, pose) = (&mut Surfaces::default(), &robot.robot());
     let expected = ExpectedImage::predict(predictor, world, surfaces, frame.sensor(), pose)?;
     predictor.on_threads(|| judge(frame, &expected, robot, polygon_sigma))
 }

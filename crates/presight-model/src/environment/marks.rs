@@ -8,7 +8,7 @@ use glam::DVec3;
 use std::collections::BTreeMap;
 
 crate::words! {
-    /// What a mark says.
+    /// The statement of a mark.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub enum MarkKind {
         /// It may or may not be there. It is predicted; verdicts on it are `undecidable`, and estimates give it no weight.
@@ -89,13 +89,13 @@ impl Environment {
         all.filter(move |mark| mark.kind == kind && mark.object == object && mark.concerns(class))
     }
 
-    /// How sure it is that objects exist, by rising path: probability, last confirmation and decay. Objects that are
-    /// not listed were never looked for.
+    /// Trust in objects, by rising path: probability of existence, last confirmation and decay. Objects that are not
+    /// listed were never verified.
     pub fn trusts(&self) -> impl ExactSizeIterator<Item = (&str, &Existence)> {
         self.beliefs.trust.iter().map(|(object, trust)| (object.as_str(), trust))
     }
 
-    /// How sure it is that an object exists, if that is stored.
+    /// The trust in an object, if it is stored.
     pub fn trust(&self, object: &str) -> Option<&Existence> {
         self.beliefs.trust.get(object)
     }

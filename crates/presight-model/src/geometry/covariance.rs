@@ -1,6 +1,6 @@
 //! Covariances of poses, with their axes in the type, and the robot's pose with its covariance.
 
-use super::Pose;
+use super::{Pose, RobotPose};
 use crate::environment::check_covariance;
 use crate::error::{Error, Result};
 use crate::matrix::{sandwich, turn};
@@ -199,19 +199,23 @@ impl<'de, A> Deserialize<'de> for PoseCovariance<A> {
 /// The pose of the robot in the world, with its uncertainty.
 ///
 /// ```
-/// use presight::{Pose, PoseEstimate};
+/// use presight::{Pose, PoseEstimate, RobotPose};
 /// use glam::DVec3;
 /// // Position to 5 cm, angles to 0.02; a scanner is mounted 1 m ahead of the robot's origin.
-/// let believed = PoseEstimate::of_sigmas(Pose::from_xyz_rpy(DVec3::new(2.0, 1.0, 0.0), 0.0, 0.0, 0.0), 0.05, 0.02);
-/// let mount = Pose::from_xyz_rpy(DVec3::X, 0.0, 0.0, 0.0);
-/// assert_eq!(believed.world_from_sensor(&mount).translation.x, 3.0);
+/// let robot = RobotPose::from_xyz_rpy(DVec3::new(2.0, 1.0, 0.0), 0.0, 0.0, 0.0);
+/// let believed = PoseEstimate::of_sigmas(robot, 0.05, 0.02);
+/// let mut spec = presight::preset("laser-scanner")?.spec().clone();
+/// spec.mount = Pose::from_xyz_rpy(DVec3::X, 0.0, 0.0, 0.0);
+/// let scanner = presight::Sensor::new(spec)?;
+/// assert_eq!(believed.robot().sensor(&scanner).world_from_sensor().translation.x, 3.0);
 /// // At the scanner the heading adds 1 m x 0.02 across.
-/// let variance = believed.sensor_covariance(&mount)[1][1];
+/// let variance = believed.sensor_covariance(&scanner.spec().mount)[1][1];
 /// assert!((variance - (0.05f64.powi(2) + 0.02f64.powi(2))).abs() < 1e-15);
+/// # Ok::<(), presight::Error>(())
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseEstimate {
-    /// The pose of the robot. [`PoseEstimate::world_from_sensor`] gives the pose of a sensor.
+    /// The pose of the robot; [`PoseEstimate::robot`] gives it as a typed pose.
     pub world_from_robot: Pose,
     /// The covariance of that pose, along the axes of the world.
     pub covariance: PoseCovariance<InWorld>,
@@ -219,31 +223,24 @@ pub struct PoseEstimate {
 
 impl PoseEstimate {
     /// A pose with its covariance.
-    pub fn new(world_from_robot: Pose, covariance: PoseCovariance<InWorld>) -> Self {
-        Self { world_from_robot, covariance }
+    pub fn new(robot: RobotPose, covariance: PoseCovariance<InWorld>) -> Self {
+        Self { world_from_robot: robot.world_from_robot(), covariance }
     }
 
     /// A pose without uncertainty.
-    pub fn exact(world_from_robot: Pose) -> Self {
-        Self::new(world_from_robot, PoseCovariance::ZERO)
+    pub fn exact(robot: RobotPose) -> Self {
+        Self::new(robot, PoseCovariance::ZERO)
     }
 
     /// A pose with the same standard deviation along each axis, metres, and about each, radians.
-    pub fn of_sigmas(world_from_robot: Pose, translation: f64, rotation: f64) -> Self {
+    pub fn of_sigmas(robot: RobotPose, translation: f64, rotation: f64) -> Self {
         let (t, r) = (translation, rotation);
-        Self::new(world_from_robot, PoseCovariance::from_sigmas([t, t, t, r, r, r]))
+        Self::new(robot, PoseCovariance::from_sigmas([t, t, t, r, r, r]))
     }
 
-    /// The robot's pose from that of a sensor (body axes), its covariance, and its mount (`robot_from_sensor`).
-    pub fn of_sensor(world_from_sensor: &Pose, covariance: &PoseCovariance<InWorld>, mount: &Pose) -> Self {
-        let world_from_robot = *world_from_sensor * mount.inverse();
-        let lever = world_from_robot.translation - world_from_sensor.translation;
-        Self::new(world_from_robot, covariance.moved_by(lever))
-    }
-
-    /// The pose of a sensor (body axes) with this mount (`robot_from_sensor`).
-    pub fn world_from_sensor(&self, mount: &Pose) -> Pose {
-        self.world_from_robot * *mount
+    /// The robot's pose without the covariance.
+    pub fn robot(&self) -> RobotPose {
+        RobotPose::new(self.world_from_robot)
     }
 
     /// The covariance of the pose of a sensor with this mount (`robot_from_sensor`).
@@ -271,18 +268,17 @@ mod tests {
         assert!((moved[5][5] - 0.01).abs() < 1e-15);
     }
 
-    /// To a sensor and back: pose and covariance are the robot's again.
+    /// A covariance moved to a sensor and back is the robot's again.
     #[test]
-    fn an_estimate_survives_the_way_to_the_sensor_and_back() {
+    fn a_covariance_survives_the_lever_to_the_sensor_and_back() {
         let mount = Pose::from_xyz_rpy(DVec3::new(0.4, -0.1, 0.5), 0.1, 0.2, 0.7);
         let robot = Pose::from_xyz_rpy(DVec3::new(3.0, 2.0, 0.1), 0.05, -0.1, 2.0);
         let sigmas = [0.1, 0.2, 0.05, 0.01, 0.02, 0.03];
-        let known = PoseEstimate::new(robot, PoseCovariance::from_sigmas(sigmas));
-        let (pose, covariance) = (known.world_from_sensor(&mount), known.sensor_covariance(&mount));
+        let known = PoseEstimate::new(RobotPose::new(robot), PoseCovariance::from_sigmas(sigmas));
+        let covariance = known.sensor_covariance(&mount);
         assert!((covariance[0][0] - known.covariance[0][0]).abs() > 1e-5, "the mount has a lever");
-        let back = PoseEstimate::of_sensor(&pose, &covariance, &mount);
-        assert!(back.world_from_robot.translation.distance(robot.translation) < 1e-12);
-        let apart = |i: usize, j: usize| (back.covariance[i][j] - known.covariance[i][j]).abs();
+        let back = covariance.moved_by(robot.translation - (robot * mount).translation);
+        let apart = |i: usize, j: usize| (back[i][j] - known.covariance[i][j]).abs();
         assert!((0..36).all(|k| apart(k / 6, k % 6) < 1e-12));
     }
 

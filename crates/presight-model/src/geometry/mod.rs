@@ -2,12 +2,14 @@
 
 mod aabb;
 mod covariance;
+mod frames;
 mod plane;
 mod pose;
 mod trig;
 
 pub use aabb::Aabb;
 pub use covariance::{InObject, InRobot, InWorld, PoseCovariance, PoseEstimate};
+pub use frames::{RobotPose, SensorPose};
 pub(crate) use plane::PLANARITY;
 pub use plane::{Plane, plane_of_loop, plane_of_polygon};
 pub use pose::Pose;

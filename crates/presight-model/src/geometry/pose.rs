@@ -84,9 +84,40 @@ impl Pose {
             return Ok(());
         };
         // Debug format, because Display has no exponents: 1e300 would fill the screen.
-        let numbers: Vec<String> =
-            translation.to_array().into_iter().chain(rotation.to_array()).map(|x| format!("{x:?}")).collect();
-        Err(Error::new(kind, format!("the pose [{}] {rule}", numbers.join(", ")), remedy))
+        Err(Error::new(kind, format!("the pose {:?} {rule}", self.to_array()), remedy))
+    }
+
+    /// From x, y, z and roll, pitch, yaw in degrees about fixed axes, or x, y, z, qx, qy, qz, qw. A quaternion of length 1
+    /// keeps its bits, so that a written pose reads back equal; any other is normalized.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Invalid`] for another count of numbers, and as [`Pose::new`].
+    pub fn of_numbers(numbers: &[f64]) -> Result<Self> {
+        let given = Self::unchecked(numbers).ok_or_else(|| {
+            let remedy = "give [x, y, z, roll_deg, pitch_deg, yaw_deg] or [x, y, z, qx, qy, qz, qw]";
+            Error::invalid(format!("the pose has {} numbers", numbers.len()), remedy)
+        })?;
+        let checked = given.check_as(ErrorKind::Invalid);
+        checked.map(|()| given).or_else(|e| Self::new(given.translation, given.rotation).map_err(|_| e))
+    }
+
+    fn unchecked(numbers: &[f64]) -> Option<Self> {
+        match *numbers {
+            [x, y, z, roll, pitch, yaw] => {
+                let [roll, pitch, yaw] = [roll, pitch, yaw].map(f64::to_radians);
+                Some(Self::from_xyz_rpy(DVec3::new(x, y, z), roll, pitch, yaw))
+            }
+            [x, y, z, qx, qy, qz, qw] => {
+                Some(Self { translation: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(qx, qy, qz, qw) })
+            }
+            _ => None,
+        }
+    }
+
+    /// x, y, z, qx, qy, qz, qw.
+    pub fn to_array(&self) -> [f64; 7] {
+        let (t, q) = (self.translation, self.rotation);
+        [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
     }
 
     /// From a translation in metres and roll, pitch, yaw in radians about fixed axes:
@@ -170,8 +201,7 @@ impl Mul for Pose {
 /// As `[x, y, z, qx, qy, qz, qw]`.
 impl Serialize for Pose {
     fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
-        let (t, q) = (self.translation, self.rotation);
-        [t.x, t.y, t.z, q.x, q.y, q.z, q.w].serialize(serializer)
+        self.to_array().serialize(serializer)
     }
 }
 
@@ -179,15 +209,8 @@ impl Serialize for Pose {
 impl<'de> Deserialize<'de> for Pose {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
         let numbers = Vec::<f64>::deserialize(deserializer)?;
-        let pose = match numbers[..] {
-            [x, y, z, roll, pitch, yaw] => {
-                Self::from_xyz_rpy(DVec3::new(x, y, z), roll.to_radians(), pitch.to_radians(), yaw.to_radians())
-            }
-            [x, y, z, qx, qy, qz, qw] => {
-                Self { translation: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(qx, qy, qz, qw) }
-            }
-            _ => return Err(D::Error::custom(format!("a pose of {} numbers; give 6 or 7", numbers.len()))),
-        };
+        let wrong = || D::Error::custom(format!("a pose of {} numbers; give 6 or 7", numbers.len()));
+        let pose = Self::unchecked(&numbers).ok_or_else(wrong)?;
         pose.check().map_err(D::Error::custom)?;
         Ok(pose)
     }

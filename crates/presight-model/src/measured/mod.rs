@@ -45,37 +45,24 @@ pub struct Motion {
     pub covariance: PoseCovariance<InRobot>,
 }
 
-/// Errors of odometry, one standard deviation: parts proportional to distance and turn, and a constant part.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct OdometryNoise {
-    /// Metres along each axis per metre driven.
-    pub distance: f64,
-    /// Radians per radian turned.
-    pub turn: f64,
-    /// Radians per metre driven.
-    pub turn_per_distance: f64,
-    /// Constant part, metres.
-    pub constant: f64,
-    /// Constant part, radians.
-    pub constant_turn: f64,
-}
-
-impl Default for OdometryNoise {
-    /// Slipping wheels, typical of robots without a calibration.
-    fn default() -> Self {
-        Self { distance: 0.1, turn: 0.1, turn_per_distance: 0.05, constant: 0.01, constant_turn: 0.005 }
+crate::options! {
+    /// Errors of odometry, one standard deviation: parts proportional to distance and turn, and a constant part.
+    ///
+    /// Default: slipping wheels, typical of robots without a calibration.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct OdometryNoise {
+        /// Metres along each axis per metre driven.
+        distance: f64 = 0.1, with_distance;
+        /// Radians per radian turned.
+        turn: f64 = 0.1, with_turn;
+        /// Radians per metre driven.
+        turn_per_distance: f64 = 0.05, with_turn_per_distance;
+        /// Constant part, metres.
+        constant: f64 = 0.01, with_constant;
+        /// Constant part, radians.
+        constant_turn: f64 = 0.005, with_constant_turn;
     }
 }
-
-crate::with_options!(
-    OdometryNoise:
-    with_distance distance: f64,
-    with_turn turn: f64,
-    with_turn_per_distance turn_per_distance: f64,
-    with_constant constant: f64,
-    with_constant_turn constant_turn: f64,
-);
 
 impl Motion {
     /// A motion from odometry that does not report its accuracy.

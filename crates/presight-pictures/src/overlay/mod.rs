@@ -5,13 +5,13 @@ use super::pen::{Pen, REGION, Style};
 use glam::{DMat3, DVec2, DVec3};
 use presight_features::{FeaturePrediction, SeenFeature, along};
 use presight_model::environment::FeatureShape;
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::sensor::{Angles, Geometry, Sensor};
 use std::collections::HashSet;
 
-/// Longest piece of a curve that is drawn straight, radians: curves bend by less than a pixel over it.
+/// Maximum length of a curve piece that is drawn straight, radians: it bends by less than a pixel.
 const PIECE: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// Fewest pieces of a curve, for a distorting lens with a narrow field of view.
+/// Minimum number of pieces of a curve, for a distorting lens with a narrow field of view.
 const FEWEST: f64 = 16.0;
 /// Height of the legend with its gap, page pixels.
 pub const LEGEND: u32 = TEXT_HEIGHT + 10;
@@ -26,8 +26,8 @@ pub struct Overlay<'a> {
     pub sides: &'a [SeenFeature],
     /// The sensor.
     pub sensor: &'a Sensor,
-    /// Its pose, body axes.
-    pub world_from_sensor: &'a Pose,
+    /// Its pose.
+    pub pose: SensorPose,
     /// If true, the ids of visible features are written next to them.
     pub numbers: bool,
 }
@@ -49,12 +49,12 @@ impl Overlay<'_> {
 
     /// Points of a feature in the sensor's image frame.
     pub(super) fn points(&self, feature: &SeenFeature) -> Vec<DVec3> {
-        let image_from_world = self.image_from_world();
-        feature.points_world.iter().map(|p| image_from_world * (*p - self.world_from_sensor.translation)).collect()
+        let (image_from_world, place) = (self.image_from_world(), self.pose.world_from_sensor().translation);
+        feature.points_world.iter().map(|p| image_from_world * (*p - place)).collect()
     }
 
     fn image_from_world(&self) -> DMat3 {
-        (self.world_from_sensor.rotation_matrix() * self.sensor.body_from_image()).transpose()
+        (self.pose.world_from_sensor().rotation_matrix() * self.sensor.body_from_image()).transpose()
     }
 
     /// The visible parts of a segment, or those in the image but hidden, as intervals of 0..1.
@@ -183,7 +183,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
                 if let Some(turn) = self.turn {
                     q.x += turn * ((p.x - q.x) / turn).round();
                 }
-                // Without a known turn, a jump means that the line crosses a seam.
+                // A jump means that the line crosses a seam, unless the columns of a full turn are known.
                 if self.turn.is_some() || (q.x - p.x).abs() < 0.5 * f64::from(self.overlay.sensor.width()) {
                     self.each_turn([p, q], |[p, q]| pen.line(p, q));
                 }

@@ -1,4 +1,4 @@
-//! Where features are drawn, and where they are not.
+//! Tests which pixels of a picture show features, and which do not.
 
 use super::super::canvas::{Canvas, Rgb};
 use super::super::pen::{HIDDEN, SEEN};
@@ -63,7 +63,7 @@ fn draw(sensor: &Sensor, features: Vec<SeenFeature>, sides: &[SeenFeature], numb
     images.range.fill(if sensor.height() == 1 { 4.0 } else { f32::INFINITY });
     let of = |features| FeaturePrediction { features, ..FeaturePrediction::default() };
     let draw = |features: &FeaturePrediction, sides| {
-        let overlay = Overlay { features, sides, sensor, world_from_sensor: &Pose::IDENTITY, numbers };
+        let overlay = Overlay { features, sides, sensor, pose: SensorPose::IDENTITY, numbers };
         preview(&images, sensor, Output::Range, &Marks { overlay: Some(&overlay), ..Marks::default() }).unwrap()
     };
     let (page, blank) = (draw(&of(features), sides), draw(&of(Vec::new()), &[]));

@@ -1,11 +1,11 @@
-//! All headings of a level scanner at once: the panorama at a place is the same for each heading, so a heading is a
-//! cyclic shift of the measured image over the panorama.
+//! All headings of a level scanner from one panorama: a heading is a cyclic shift of the measured image over the
+//! panorama of its place.
 
 use super::RangeLikelihood;
 use super::likelihood::BeamModel;
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, sin_cos_deg};
+use presight_model::geometry::{Pose, SensorPose, sin_cos_deg};
 use presight_model::sensor::{Angles, Geometry, SAME_ANGLE, Scanner, Sensor, SensorSpec};
 use presight_render::row::is_level;
 use std::array;
@@ -115,23 +115,24 @@ impl Headings {
         360.0 * f64::from(heading) / f64::from(self.count)
     }
 
-    /// The pose of the sensor at a position and heading. For the robot's pose, multiply by the inverse of the mount.
-    pub fn pose(&self, place: DVec3, heading: u32) -> Pose {
+    /// The pose of the sensor at a position and heading.
+    pub fn pose(&self, place: DVec3, heading: u32) -> SensorPose {
         let (sin, cos) = sin_cos_deg(0.5 * self.degrees(heading));
-        Pose { translation: place, rotation: DQuat::from_xyzw(0.0, 0.0, sin, cos) }
+        SensorPose::new(Pose { translation: place, rotation: DQuat::from_xyzw(0.0, 0.0, sin, cos) })
     }
 
     /// The pose at which the panorama for a place is predicted; the given pose's heading is ignored.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] for a tilted pose.
-    pub fn place(&self, world_from_sensor: &Pose) -> Result<Pose> {
+    pub fn place(&self, pose: &SensorPose) -> Result<SensorPose> {
+        let world_from_sensor = pose.world_from_sensor();
         world_from_sensor.check()?;
-        if !is_level(world_from_sensor) {
+        if !is_level(&world_from_sensor) {
             let what = "all headings at once: the sensor is tilted, so its panorama depends on the heading";
             return Err(Error::usage(what, "give level poses, or a pose for each heading"));
         }
-        Ok(Pose { translation: world_from_sensor.translation, rotation: DQuat::IDENTITY })
+        Ok(SensorPose::new(Pose { rotation: DQuat::IDENTITY, ..world_from_sensor }))
     }
 }
 

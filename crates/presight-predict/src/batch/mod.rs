@@ -19,7 +19,7 @@ use crate::request::Request;
 use headings::{HeadingWeights, Panorama};
 use presight_model::clock::Instant;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_model::world::World;
@@ -50,7 +50,7 @@ pub struct BatchRequest {
     pub likelihood: Option<RangeLikelihood>,
     /// Headings at which to weigh it for each place. Poses are then places of the sensor; their headings are ignored.
     pub headings: Option<Headings>,
-    /// The height, metres, at which the world is cut at once for a level one-row scanner; `None` uses the first pose's.
+    /// The height, metres, at which the world is cut immediately for a level one-row scanner; `None` uses the first pose's.
     /// Results do not depend on it, unless a GPU engine weighs the poses at other heights.
     pub height: Option<f64>,
     /// Include statistics of each prediction.
@@ -65,7 +65,7 @@ pub struct BatchItem {
     /// Index of the pose, from 0.
     pub index: usize,
     /// The sensor's pose, body axes; with headings its heading is 0.
-    pub world_from_sensor: Pose,
+    pub pose: SensorPose,
     /// Empty unless requested. With headings, the panorama's images.
     pub images: Images,
     /// Log-likelihood of the measured image at this pose, see [`RangeLikelihood::log_likelihood`].
@@ -105,7 +105,7 @@ struct Task<'p> {
     wanted: Outputs,
     show: Option<Show<'p>>,
     weigh: Option<HeadingModel>,
-    /// The same for an engine that weighs images itself; `None` if images are requested too.
+    /// The weighing for an engine that weighs images itself; `None` if images are also requested.
     weighing: Option<Weighing>,
     headings: Option<Headings>,
     statistics: bool,
@@ -138,7 +138,7 @@ const MOST: usize = 512;
 const TOGETHER: usize = 64;
 
 impl Predictor {
-    /// Predicts at many poses of a sensor (world from sensor, body axes). The iterator returns items in order and keeps
+    /// Predicts at many poses of a sensor. The iterator returns items in order and keeps
     /// a chunk in memory at most. Images are bit-equal to [`Predictor::predict`]. Results do not depend on chunks and
     /// threads.
     ///
@@ -150,7 +150,7 @@ impl Predictor {
     /// use presight::environment::Environment;
     /// use presight::measured::{Frame, Measurement};
     /// use presight::sensor::Noise;
-    /// use presight::{Options, Pose, Predictor, Sensor, World};
+    /// use presight::{Options, Predictor, Sensor, SensorPose, World};
     /// let mut spec = presight::preset("laser-scanner")?.spec().clone();
     /// spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
     /// let sensor = Sensor::new(spec)?;
@@ -159,7 +159,7 @@ impl Predictor {
     /// let request = BatchRequest { likelihood: Some(nothing), ..BatchRequest::default() };
     /// let mut predictor = Predictor::new(Options::default())?;
     /// let world = World::new(Environment::new());
-    /// let poses = vec![Pose::IDENTITY; 3];
+    /// let poses = vec![SensorPose::IDENTITY; 3];
     /// let all: Vec<_> = predictor.batch(&world, &sensor, poses, &request)?.collect::<Result<_, _>>()?;
     /// // No surface and no return: p_hit and p_none together, for each beam.
     /// assert!((all[2].log_likelihood.unwrap() - 361.0 * 0.8f64.ln()).abs() < 1e-9);
@@ -170,7 +170,7 @@ impl Predictor {
     /// The errors of [`Request::check`]; [`presight_model::ErrorKind::Usage`] for headings without a measured image,
     /// another sensor's image or headings, or a chunk of 0. For each pose, the errors of [`Predictor::predict`] and
     /// [`Headings::place`].
-    pub fn batch<I: IntoIterator<Item = Pose>>(
+    pub fn batch<I: IntoIterator<Item = SensorPose>>(
         &mut self,
         world: &World,
         sensor: &Sensor,
@@ -179,7 +179,7 @@ impl Predictor {
     ) -> Result<Batch<'_, I::IntoIter>> {
         let mut task = Task::new(world, sensor, request)?;
         let mut poses = poses.into_iter().peekable();
-        task.height = request.height.or_else(|| poses.peek().map(|pose| pose.translation.z));
+        task.height = request.height.or_else(|| poses.peek().map(|pose| pose.world_from_sensor().translation.z));
         let threads = match self.engine().for_task() {
             Some(_) => Some(self.task_threads()?),
             None => None,
@@ -276,24 +276,33 @@ impl<'p> Task<'p> {
     }
 
     /// The pose for the prediction.
-    fn pose(&self, given: &Pose) -> Result<Pose> {
-        given.check()?;
+    fn pose(&self, given: &SensorPose) -> Result<SensorPose> {
+        given.world_from_sensor().check()?;
         self.headings.as_ref().map_or(Ok(*given), |headings| headings.place(given))
     }
 
     /// Produces the item of a pose, with a thread's own memory and engine; kept images go to `room`.
-    fn run(&self, index: usize, given: &Pose, room: Images, cuts: &RowCuts, lane: &mut Lane) -> Result<BatchItem> {
+    fn run(
+        &self,
+        index: usize,
+        given: &SensorPose,
+        room: Images,
+        cuts: &RowCuts,
+        lane: &mut Lane,
+    ) -> Result<BatchItem> {
         let pose = self.pose(given)?;
         if self.keeps() {
             let scratch = std::mem::replace(&mut lane.images, room);
             self.take_scratch(scratch, &mut lane.images);
         }
         let mut stats = Stats::default();
-        let seen = self.see_by_cut(&pose, cuts, lane, &mut stats)?;
+        let world_from_sensor = pose.world_from_sensor();
+        let seen = self.see_by_cut(&world_from_sensor, cuts, lane, &mut stats)?;
         let Lane { engine, chosen, buffers, images, .. } = lane;
         if let (false, Some(engine)) = (seen, engine) {
             let buffers_of_plan = std::mem::take(buffers);
-            let plan = FramePlan::by(*chosen, buffers_of_plan, &self.world, &self.sensor, &pose, self.request)?;
+            let (world, sensor) = (&self.world, &self.sensor);
+            let plan = FramePlan::by(*chosen, buffers_of_plan, world, sensor, &world_from_sensor, self.request)?;
             stats.index = self.world.index().name();
             let rendered = engine.render(&plan, images, &mut stats);
             *buffers = plan.into_buffers();
@@ -323,7 +332,7 @@ impl<'p> Task<'p> {
     fn finish(
         &self,
         index: usize,
-        world_from_sensor: Pose,
+        pose: SensorPose,
         stats: Stats,
         drawn: Drawn<'_>,
         panorama: &mut Panorama,
@@ -350,7 +359,7 @@ impl<'p> Task<'p> {
             _ => Images::default(),
         };
         let stats = self.statistics.then_some(stats);
-        BatchItem { index, world_from_sensor, images, log_likelihood, headings, stats }
+        BatchItem { index, pose, images, log_likelihood, headings, stats }
     }
 
     /// Takes the requested images out; the others stay.
@@ -371,14 +380,14 @@ impl<'p> Task<'p> {
     }
 }
 
-impl<'p, I: Iterator<Item = Pose>> Batch<'p, I> {
+impl<'p, I: Iterator<Item = SensorPose>> Batch<'p, I> {
     /// Shows the requested images of each pose to `show`, with the pose's index, on the thread that drew them and in any
     /// order. Items then have no images, and memory for images is used from pose to pose.
     ///
     /// ```
     /// use presight::predict::BatchRequest;
     /// use presight::environment::Environment;
-    /// use presight::{Options, Output, Outputs, Pose, Predictor, World};
+    /// use presight::{Options, Output, Outputs, Predictor, SensorPose, World};
     /// use std::sync::atomic::{AtomicUsize, Ordering};
     /// let request = BatchRequest { images: Some(Outputs::of(&[Output::Range]).into()), ..BatchRequest::default() };
     /// let mut predictor = Predictor::new(Options::default())?;
@@ -387,7 +396,7 @@ impl<'p, I: Iterator<Item = Pose>> Batch<'p, I> {
     /// let count = |_: usize, images: &presight::Images| {
     ///     empty.fetch_add(images.range.iter().filter(|r| r.is_infinite()).count(), Ordering::Relaxed);
     /// };
-    /// let batch = predictor.batch(&world, &presight::preset("laser-scanner")?, vec![Pose::IDENTITY; 3], &request)?;
+    /// let batch = predictor.batch(&world, &presight::preset("laser-scanner")?, vec![SensorPose::IDENTITY; 3], &request)?;
     /// for item in batch.shown_to(&count) {
     ///     assert!(item?.images.range.is_empty());
     /// }
@@ -411,18 +420,18 @@ impl<'p, I: Iterator<Item = Pose>> Batch<'p, I> {
 
     /// Processes the next chunk. Returns false after the last pose.
     fn advance(&mut self) -> bool {
-        let poses: Vec<(usize, Pose)> = (self.next..).zip(self.poses.by_ref().take(self.chunk)).collect();
+        let poses: Vec<(usize, SensorPose)> = (self.next..).zip(self.poses.by_ref().take(self.chunk)).collect();
         if poses.is_empty() {
             return false;
         }
         self.next += poses.len();
-        let placed = |(index, _): &(usize, Pose), e: Error| e.at(format!("pose {index}"));
+        let placed = |(index, _): &(usize, SensorPose), e: Error| e.at(format!("pose {index}"));
         let done: Result<Vec<Result<BatchItem>>> = match &self.threads {
             Some(threads) => {
                 let (task, lanes, cuts) = (&self.task, &self.lanes, self.predictor.row_cuts());
                 // Allocated by the thread that frees it, like the list, because allocators keep memory per thread.
                 let rooms: Result<Vec<Images>> = poses.iter().map(|_| task.room()).collect();
-                let work = |(given, room): (&(usize, Pose), Images)| {
+                let work = |(given, room): (&(usize, SensorPose), Images)| {
                     // The work never yields to another task, so a thread's lane is used once at a time.
                     let lane = &lanes[rayon::current_thread_index().unwrap_or(0) % lanes.len()];
                     let mut lane = lane.lock().unwrap_or_else(PoisonError::into_inner);
@@ -441,7 +450,7 @@ impl<'p, I: Iterator<Item = Pose>> Batch<'p, I> {
     }
 
     /// Processes poses with the predictor's own engine, up to the first error.
-    fn by_engine(&mut self, poses: &[(usize, Pose)]) -> Vec<Result<BatchItem>> {
+    fn by_engine(&mut self, poses: &[(usize, SensorPose)]) -> Vec<Result<BatchItem>> {
         let mut done = Vec::with_capacity(poses.len());
         for some in poses.chunks(TOGETHER) {
             let before = done.len();
@@ -455,7 +464,7 @@ impl<'p, I: Iterator<Item = Pose>> Batch<'p, I> {
     }
 
     /// Adds the items of some poses; on an error, only the items before it.
-    fn some_by_engine(&mut self, poses: &[(usize, Pose)], done: &mut Vec<Result<BatchItem>>) -> Result<()> {
+    fn some_by_engine(&mut self, poses: &[(usize, SensorPose)], done: &mut Vec<Result<BatchItem>>) -> Result<()> {
         let Self { predictor, task, lanes, buffers, .. } = self;
         let lane = lanes[0].get_mut().unwrap_or_else(PoisonError::into_inner);
         let (mut items, mut plans, mut planned) = (Vec::new(), Vec::new(), Vec::new());
@@ -470,7 +479,8 @@ impl<'p, I: Iterator<Item = Pose>> Batch<'p, I> {
                     break;
                 }
             };
-            let seen = match task.see_by_cut(&pose, predictor.row_cuts(), lane, &mut stats) {
+            let world_from_sensor = pose.world_from_sensor();
+            let seen = match task.see_by_cut(&world_from_sensor, predictor.row_cuts(), lane, &mut stats) {
                 Ok(seen) => seen,
                 Err(e) => {
                     fault = Err(e);
@@ -483,7 +493,7 @@ impl<'p, I: Iterator<Item = Pose>> Batch<'p, I> {
                 continue;
             }
             let buffers = buffers.pop().unwrap_or_default();
-            match FramePlan::within(buffers, &task.world, &task.sensor, &pose, task.request) {
+            match FramePlan::within(buffers, &task.world, &task.sensor, &world_from_sensor, task.request) {
                 Ok(plan) => plans.push(plan),
                 Err(e) => {
                     fault = Err(e);
@@ -510,7 +520,7 @@ impl<'p, I: Iterator<Item = Pose>> Batch<'p, I> {
     }
 }
 
-impl<I: Iterator<Item = Pose>> Iterator for Batch<'_, I> {
+impl<I: Iterator<Item = SensorPose>> Iterator for Batch<'_, I> {
     type Item = Result<BatchItem>;
 
     fn next(&mut self) -> Option<Result<BatchItem>> {

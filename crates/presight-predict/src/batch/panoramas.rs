@@ -6,7 +6,7 @@ use super::likelihood::RangeLikelihood;
 use crate::predict::Predictor;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::memory;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -60,7 +60,7 @@ impl Predictor {
         } else {
             let mut images = Images::default();
             for place in &places {
-                self.predict_images(world, sensor, &level(*place), outputs, &mut images)?;
+                self.predict_images(world, sensor, &SensorPose::new(level(*place)), outputs, &mut images)?;
                 range.extend_from_slice(&images.range);
                 cos_incidence.extend_from_slice(&images.cos_incidence);
             }
@@ -68,11 +68,11 @@ impl Predictor {
         Ok(Panoramas { headings: headings.clone(), places, range, cos_incidence })
     }
 
-    /// Ranges and cosines of incidence of a sensor at poses (world from sensor), pose by pose.
+    /// Ranges and cosines of incidence of a sensor at poses, pose by pose.
     ///
     /// # Errors
     /// The errors of [`Predictor::predict_images`].
-    pub fn range_views(&mut self, world: &World, sensor: &Sensor, poses: &[Pose]) -> Result<Vec<[Vec<f32>; 2]>> {
+    pub fn range_views(&mut self, world: &World, sensor: &Sensor, poses: &[SensorPose]) -> Result<Vec<[Vec<f32>; 2]>> {
         let outputs = Outputs::of(&[Output::Range, Output::CosIncidence]);
         let request = BatchRequest { images: Some(outputs.into()), ..BatchRequest::default() };
         let items = self.batch(world, sensor, poses.iter().copied(), &request)?;

@@ -8,7 +8,7 @@ use super::stage::{Binding, Bindings, make};
 use super::variants::Constant;
 use presight_model::error::Result;
 
-/// A render pass needs a target, although nothing is written to it.
+/// The format of the target that a render pass requires, although no pass writes to it.
 const TARGET: wgpu::TextureFormat = wgpu::TextureFormat::R8Unorm;
 
 /// The stage's pipelines, bindings and target.

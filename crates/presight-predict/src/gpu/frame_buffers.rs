@@ -12,7 +12,7 @@ use presight_model::error::Result;
 use std::mem::size_of;
 
 /// Six passes in each wave, the second pass by spans and by shapes, and resolve.
-const MOST_PASSES: u32 = 6 * MAX_WAVES as u32 + 3;
+const MAX_PASSES: u32 = 6 * MAX_WAVES as u32 + 3;
 
 /// All buffers except the meshes.
 pub(super) struct FrameBuffers {
@@ -47,7 +47,7 @@ impl FrameBuffers {
             let queries = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: Some("times"),
                 ty: wgpu::QueryType::Timestamp,
-                count: 2 * MOST_PASSES,
+                count: 2 * MAX_PASSES,
             });
             (queries, Growable::new(gpu, "times", U::QUERY_RESOLVE | U::COPY_SRC, false))
         });

@@ -14,7 +14,7 @@ use presight_render::plan::{CountName, FramePlan, Images, Output, Pace, Run, Sta
 use std::ops::Range;
 use std::time::Duration;
 
-/// Pessimistic costs for when nothing was learnt yet.
+/// Pessimistic costs before any were learnt.
 const UNKNOWN: Pace = Pace { wave: 1e-3, polygon: 1e-6, sample: 1e-8, saved: [0.0; 3], drawing: 0.0 };
 /// Polygons; a smaller piece is not worth a submission.
 const LEAST_PIECE: u64 = 256;
@@ -115,7 +115,7 @@ fn give_up(plan: &FramePlan, done: usize, drawn_ms: f64, images: &mut Images) ->
 struct Pieces<'a> {
     plan: &'a FramePlan,
     pace: Pace,
-    /// Largest ratio of measured to estimated time among the pieces so far.
+    /// Maximum ratio of measured to estimated time among the pieces so far.
     slowest: Option<f64>,
     /// The current piece: its estimated duration and start time.
     estimate: f64,

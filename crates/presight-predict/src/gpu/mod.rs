@@ -61,7 +61,7 @@ use uploads::FrameUploads;
 use visible::Visible;
 
 /// Maximum number of sensors whose tables are kept.
-const MOST_SENSORS: usize = 8;
+const MAX_SENSORS: usize = 8;
 
 /// The GPU engine with its device and buffers.
 pub struct GpuEngine {
@@ -143,7 +143,7 @@ impl GpuEngine {
         })
     }
 
-    /// Opens the device again with the original options. Nothing of the old device is reused.
+    /// Opens the device again with the original options, without reusing any resource of the old one.
     ///
     /// # Errors
     /// Same as [`GpuEngine::new`]; the engine is then unchanged.
@@ -244,8 +244,8 @@ impl GpuEngine {
         Ok(())
     }
 
-    /// Largest image side that the hardware rasterizer draws; 0 if it is not used.
-    fn most_rendered(&self) -> u32 {
+    /// Maximum image side that the hardware rasterizer draws; 0 if it is not used.
+    fn max_rendered(&self) -> u32 {
         match self.gpu.raster {
             Raster::Compute => 0,
             Raster::Render => self.gpu.device.limits().max_texture_dimension_2d,
@@ -294,7 +294,7 @@ impl GpuEngine {
             }
             None => {
                 let tables = Tables::new(sensor)?;
-                self.sensors.truncate(MOST_SENSORS - 1);
+                self.sensors.truncate(MAX_SENSORS - 1);
                 self.sensors.insert(0, KnownSensor { sensor: sensor.clone(), tables, shown: Shown::default() });
                 self.placed = false;
             }
@@ -354,7 +354,7 @@ impl GpuEngine {
             (Raster::Compute, _) => "compute spans are the default",
             (Raster::Render, Raster::Compute) => "its fragments cannot write storage on this adapter",
             _ if !is_camera => "the sensor is not a pinhole camera",
-            _ if side > self.most_rendered() => "the image exceeds the adapter's largest render target",
+            _ if side > self.max_rendered() => "the image exceeds the adapter's largest render target",
             _ => "compute spans keep the deadline",
         }
     }

@@ -96,7 +96,7 @@ impl NearList {
             mesh.corners_of(polygon).map(|p| instance.image_from_mesh * (p - instance.center_in_mesh)).collect();
         let wedge = wedge(&corners, normal.normalize());
         let edge_count = (corners.len() + wedge.len()) as u32;
-        // Without a cap.
+        // No cap.
         let (cap_axis, cap_chord) = ([1.0, 0.0, 0.0], -1.0);
         let record = Record { m: m.as_vec3().to_array(), slot, edge_count, cap_axis, cap_chord };
         self.records.extend_from_slice(bytemuck::cast_slice(&[record]));

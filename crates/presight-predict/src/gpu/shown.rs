@@ -6,7 +6,7 @@ use super::uploads::FrameUploads;
 use presight_render::plan::{FramePlan, Run};
 
 /// Maximum polygons of a world that is tracked: 2 MiB for each sensor.
-pub(super) const MOST_SLOTS: u32 = 1 << 24;
+pub(super) const MAX_SLOTS: u32 = 1 << 24;
 
 /// One bit for each slot of the environment.
 #[derive(Default)]
@@ -57,7 +57,7 @@ impl Shown {
             let keys: &[[u32; 2]] = bytemuck::cast_slice(&answer[..at.slots as usize]);
             // Neighbours mostly show the same polygon.
             for slot in keys.chunk_by(|a, b| a[0] == b[0]).map(|same| !same[0][0]) {
-                // A pixel that shows nothing has no valid slot.
+                // An empty pixel has no valid slot.
                 if let Some(word) = self.words.get_mut(slot as usize >> 5) {
                     *word |= 1 << (slot & 31);
                 }
@@ -82,7 +82,7 @@ mod tests {
         let shown = Shown { world: None, words: words.collect(), polygons: 0 };
         for first in 0..128 {
             for end in first..140 {
-                // Nothing is shown beyond the last word.
+                // Slots beyond the last word are not shown.
                 let expected = (first..end.min(128)).filter(slots).count();
                 assert_eq!(shown.count(first, end) as usize, expected, "{first}..{end}");
             }

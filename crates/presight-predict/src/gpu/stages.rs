@@ -92,7 +92,7 @@ impl Stages {
 
     /// Encodes a part of a frame with at least one polygon.
     pub fn encode(&self, encoder: &mut wgpu::CommandEncoder, part: Part, r: &mut Recording<'_>) {
-        debug_assert!(r.frame.polygon_count > 0, "nothing is in view");
+        debug_assert!(r.frame.polygon_count > 0, "no polygon is in view");
         if part.clears() {
             let pixels = r.frame.params.width * r.frame.params.height;
             encoder.clear_buffer(r.store.keys.buffer(), 0, Some(u64::from(pixels) * 8));

@@ -5,7 +5,7 @@ use super::frame_buffers::Readback;
 use super::layout::{self, Counters};
 use super::stages::Recording;
 use super::testing::Hiding;
-use super::uploads::{FrameUploads, Way};
+use super::uploads::{DrawMode, FrameUploads};
 use super::visible::Visible;
 use super::weigh::{self, Weigh};
 use super::{GpuEngine, KnownSensor};
@@ -49,7 +49,7 @@ impl Part {
 pub(super) struct Submission<'a> {
     pub frames: usize,
     pub part: Part,
-    /// The frames belong to a batch: no timestamps, and nothing is learnt from one frame for the next.
+    /// The frames belong to a batch: no timestamps, and no frame reuses what the last one showed.
     pub batched: bool,
     /// The measured image to weigh instead of returning images, if the device resolves them.
     pub weighing: Option<&'a Weighing>,
@@ -79,13 +79,13 @@ impl GpuEngine {
         let KnownSensor { tables, shown, .. } = &self.sensors[0];
         let probes =
             !submission.batched && self.opened.1.hiding == Hiding::WhereItPays && !self.known.contains(&tables.kind);
-        let way = if probes { Way { hiding: Hiding::Always, ..self.way() } } else { self.way() };
+        let mode = if probes { DrawMode { hiding: Hiding::Always, ..self.mode() } } else { self.mode() };
         for (frame, plan) in self.frames.iter_mut().zip(plans) {
             frame.in_company = submission.batched || plan.limit.is_some();
             let last = (plan.reuse_visible && !frame.in_company).then_some(shown);
             // Slots keep stamps of earlier frames, so each frame needs a new one.
             frame.near.stamp = self.stamp;
-            frame.fill(plan, tables, &self.arena, way, last);
+            frame.fill(plan, tables, &self.arena, mode, last);
             self.stamp = frame.near.stamp;
             frame.sum_words = submission.weighing.filter(|_| !frame.on_host).map_or(0, weigh::sum_words);
             self.rebind |= self.store.reserve(&self.gpu, frame)?;
@@ -197,11 +197,11 @@ impl GpuEngine {
         self.gpu.done.workgroups.add_many(all);
     }
 
-    fn way(&self) -> Way {
-        Way {
+    fn mode(&self) -> DrawMode {
+        DrawMode {
             software: self.software,
             in_two_passes: !self.gpu.int64,
-            most_rendered: self.most_rendered(),
+            max_rendered: self.max_rendered(),
             hiding: self.opened.1.hiding,
         }
     }

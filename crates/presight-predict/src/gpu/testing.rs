@@ -20,7 +20,7 @@ pub enum Hiding {
     LastFrameOnly,
 }
 
-/// How a device is used in a test.
+/// The configuration of a device in a test.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Setup {
     /// Limit the size of a buffer to this many bytes, even if the adapter allows more.

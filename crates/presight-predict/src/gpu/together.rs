@@ -10,9 +10,9 @@ use presight_model::error::Result;
 use presight_render::plan::{Drawn, FramePlan, Images, NOTHING_IN_VIEW, StageName, Stats, Weighing, Work};
 
 /// Maximum size of the answers of a submission, bytes.
-const MOST_BYTES: u64 = 64 << 20;
+const MAX_BYTES: u64 = 64 << 20;
 /// Maximum number of frames of a submission.
-const MOST_FRAMES: u64 = 64;
+const MAX_FRAMES: u64 = 64;
 
 /// Receives a plan's result. If anything was in view, also its index in the answer and its counters.
 type HandOver<'a> = dyn FnMut(Drawn<'_>, Stats, Option<(usize, Counters)>) + 'a;
@@ -43,7 +43,7 @@ impl GpuEngine {
         self.gpu.check()?;
         // The length of an answer depends on sensor and world only.
         self.fill(&[first], &Submission { frames: 1, part: Part::Whole, batched: true, weighing })?;
-        let count = (MOST_BYTES / self.answer_bytes(Part::Whole).max(1)).clamp(1, MOST_FRAMES);
+        let count = (MAX_BYTES / self.answer_bytes(Part::Whole).max(1)).clamp(1, MAX_FRAMES);
         plans.chunks(count as usize).try_for_each(|plans| self.render_some(plans, weighing, images, each))
     }
 

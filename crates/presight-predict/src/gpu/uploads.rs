@@ -7,39 +7,39 @@ use super::layout::{
     WorkRun,
 };
 use super::near::{NearList, cluster_of, is_near};
-use super::shown::{MOST_SLOTS, Shown};
+use super::shown::{MAX_SLOTS, Shown};
 use super::testing::Hiding;
 use glam::{DMat3, DVec3, Vec3};
 use presight_render::plan::{FramePlan, IdScheme, Output, Outputs, Run, StageName};
 use std::ops::Range;
 
 /// Maximum number of slots that are read back to resolve images on the CPU.
-const MOST_SLOTS_ON_HOST: u32 = 1 << 20;
+const MAX_SLOTS_ON_HOST: u32 = 1 << 20;
 
 /// Minimum number of polygons for which testing for hidden ones pays.
-const LEAST_TO_HIDE: usize = 4096;
+const MIN_TO_HIDE: usize = 4096;
 /// Polygons of the first wave.
 const FIRST_WAVE: usize = 2048;
 /// Ratio of polygons from one wave to the next; the last wave takes all that are left.
 const WAVE_GROWTH: usize = 4;
 
-/// How frames are drawn.
+/// The choices by which frames are drawn.
 #[derive(Clone, Copy)]
-pub(super) struct Way {
+pub(super) struct DrawMode {
     /// The adapter is software.
     pub software: bool,
     /// The device has no 64-bit atomics.
     pub in_two_passes: bool,
-    /// Largest image side that the hardware rasterizer draws; 0 if it is not used.
-    pub most_rendered: u32,
+    /// Maximum image side that the hardware rasterizer draws; 0 if it is not used.
+    pub max_rendered: u32,
     pub hiding: Hiding,
 }
 
-impl Way {
+impl DrawMode {
     /// Number of polygons that ends the first wave if no earlier frame is reused; all polygons for a single wave.
-    fn most_of_first_wave(self, plan: &FramePlan) -> usize {
+    fn first_wave_end(self, plan: &FramePlan) -> usize {
         let most = match self.hiding {
-            Hiding::WhereItPays if plan.polygon_count >= LEAST_TO_HIDE => FIRST_WAVE,
+            Hiding::WhereItPays if plan.polygon_count >= MIN_TO_HIDE => FIRST_WAVE,
             Hiding::WhereItPays | Hiding::Off => plan.polygon_count,
             Hiding::Always | Hiding::TooNear | Hiding::LastFrameOnly => plan.polygon_count / 4,
         };
@@ -48,7 +48,7 @@ impl Way {
 
     /// True if there may be several waves.
     fn hides(self, plan: &FramePlan) -> bool {
-        self.most_of_first_wave(plan) < plan.polygon_count
+        self.first_wave_end(plan) < plan.polygon_count
     }
 }
 
@@ -84,7 +84,7 @@ pub(super) struct FrameUploads {
     pub outputs: Outputs,
     /// Words of all images.
     pub output_words: u64,
-    /// Words of the sums that are read back instead of images; 0 if nothing is weighed.
+    /// Words of the sums that are read back instead of images; 0 without weighing.
     pub sum_words: u64,
     /// Slots of the environment.
     pub slots: u32,
@@ -120,19 +120,19 @@ impl FrameUploads {
     /// Computes the uploads. The arena must hold every mesh of the plan. On a software adapter the CPU resolves the
     /// images, unless reading back the slots would cost more than it saves. `last`: the polygons that the sensor's last
     /// frame showed, if they may be reused.
-    pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena, way: Way, last: Option<&Shown>) {
+    pub fn fill(&mut self, plan: &FramePlan, tables: &Tables, arena: &Arena, mode: DrawMode, last: Option<&Shown>) {
         self.slots = plan.environment().slot_count();
-        self.on_host = way.software && self.slots <= MOST_SLOTS_ON_HOST;
+        self.on_host = mode.software && self.slots <= MAX_SLOTS_ON_HOST;
         self.sum_words = 0;
-        let fits = tables.params.width.max(tables.params.height) <= way.most_rendered;
+        let fits = tables.params.width.max(tables.params.height) <= mode.max_rendered;
         self.rendered = tables.kind == GridKind::Camera && fits && plan.limit.is_none();
         self.params = tables.params;
         self.blocks = tables.blocks;
         self.plain = plan.instances.iter().all(|i| i.plain);
-        self.remembered = last.is_some() && self.slots <= MOST_SLOTS;
+        self.remembered = last.is_some() && self.slots <= MAX_SLOTS;
         self.fill_instances(plan, arena);
-        self.fill_order(plan, way, last);
-        self.fill_waves(plan, way);
+        self.fill_order(plan, mode, last);
+        self.fill_waves(plan, mode);
         self.fill_work(plan, tables, arena);
         self.place_outputs(plan);
         self.params.source_ids = u32::from(plan.drawn_ids() == IdScheme::Source);
@@ -212,7 +212,7 @@ impl FrameUploads {
     }
 
     /// Orders the runs nearest first. If most of the last frame's polygons may be seen again, their runs go first.
-    fn fill_order(&mut self, plan: &FramePlan, way: Way, last: Option<&Shown>) {
+    fn fill_order(&mut self, plan: &FramePlan, mode: DrawMode, last: Option<&Shown>) {
         let all = 0..plan.runs.len() as u32;
         self.order.clear();
         (self.shown_before, self.why_anew) = (0, "");
@@ -220,7 +220,7 @@ impl FrameUploads {
             _ if !plan.reuse_visible => Err("not requested"),
             None => Err("not in batches, nor with a deadline"),
             Some(_) if !self.remembered => Err("the world has too many polygons"),
-            Some(_) if !way.hides(plan) => Err("too few polygons are in view"),
+            Some(_) if !mode.hides(plan) => Err("too few polygons are in view"),
             Some(last) => last.of(plan).ok_or("the sensor has no last frame in this version of the world"),
         };
         match again {
@@ -249,17 +249,17 @@ impl FrameUploads {
     }
 
     /// Divides the runs into waves.
-    fn fill_waves(&mut self, plan: &FramePlan, way: Way) {
+    fn fill_waves(&mut self, plan: &FramePlan, mode: DrawMode) {
         self.polygon_count = plan.polygon_count as u32;
         self.waves.clear();
         let end = plan.runs.len() as u32;
-        let (mut begin, mut polygons, mut most) = (0, 0, way.most_of_first_wave(plan));
+        let (mut begin, mut polygons, mut most) = (0, 0, mode.first_wave_end(plan));
         if self.shown_before > 0 && self.shown_before < end {
             self.waves.push(0..self.shown_before);
             // One wave suffices for the rest: it is tested against the depth of the first.
             (begin, most) = (self.shown_before, usize::MAX);
         }
-        let end = if way.hiding == Hiding::LastFrameOnly && begin > 0 { begin } else { end };
+        let end = if mode.hiding == Hiding::LastFrameOnly && begin > 0 { begin } else { end };
         for (index, run) in (0..).zip(&self.order).skip(begin as usize) {
             polygons += plan.runs[*run as usize].count as usize;
             let split = polygons >= most && index + 1 < end && self.waves.len() + 1 < MAX_WAVES;
@@ -274,7 +274,7 @@ impl FrameUploads {
             self.passes.extend((wave > 0).then_some(StageName::Hidden));
             self.passes.extend([StageName::Cull, StageName::Setup]);
             let is_last = wave + 1 == self.waves.len();
-            for _ in 0..if self.rendered && way.in_two_passes && is_last { 2 } else { 1 } {
+            for _ in 0..if self.rendered && mode.in_two_passes && is_last { 2 } else { 1 } {
                 self.passes.push(StageName::Raster);
                 self.passes.extend(self.rendered.then_some(StageName::HardwareRaster));
             }

@@ -39,7 +39,7 @@ impl<'a> Variants<'a> {
         Variant { kind: self.kind, bits }
     }
 
-    /// The constant that says where the shader finds the rays.
+    /// The constant that selects the shader's source of rays.
     pub fn rays(&self) -> Constant {
         flag("SHORT", self.short)
     }

@@ -15,7 +15,7 @@ const BEAMS: u32 = 16;
 /// The only variant: the shader does not depend on the grid.
 const VARIANT: Variant = Variant { kind: GridKind::Camera, bits: 0 };
 /// Maximum number of parts of an image.
-const MOST_PARTS: u32 = 1024;
+const MAX_PARTS: u32 = 1024;
 
 /// `WeighParams` in weigh.wgsl.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
@@ -77,7 +77,7 @@ impl Weigh {
 
 /// Workgroups that share the beams of a heading.
 fn parts(weighing: &Weighing) -> u32 {
-    (weighing.sensed.len() as u32).div_ceil(GROUP * BEAMS).clamp(1, MOST_PARTS)
+    (weighing.sensed.len() as u32).div_ceil(GROUP * BEAMS).clamp(1, MAX_PARTS)
 }
 
 /// Words of the sums of a frame.

@@ -4,7 +4,7 @@ use super::{Prediction, Predictor};
 use crate::request::Request;
 use presight_features::{FeaturePrediction, Vantage};
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_render::cost::{CostModel, DeadlineFrame, Forecast};
@@ -44,7 +44,7 @@ impl Prediction {
 
 impl Predictor {
     /// The prediction of a frame that [`Predictor::predict`] refused with [`presight_model::ErrorKind::Deadline`], for
-    /// a series that goes on: every sample and every feature is given up, and `complete_to` is 0.
+    /// a series that continues: every sample and every feature is given up, and `complete_to` is 0.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::System`] if the system refuses the memory; the errors of [`Predictor::predict`]
@@ -53,7 +53,7 @@ impl Predictor {
         &mut self,
         world: &World,
         sensor: &Sensor,
-        world_from_sensor: &Pose,
+        pose: &SensorPose,
         request: &Request,
     ) -> Result<Prediction> {
         let mut images = Images::default();
@@ -77,7 +77,7 @@ impl Predictor {
         Ok(Prediction {
             request: request.clone(),
             sensor: sensor.clone(),
-            world_from_sensor: *world_from_sensor,
+            pose: *pose,
             world_version: world.version(),
             images,
             features: placed.map(|_| FeaturePrediction::default()),
@@ -85,8 +85,8 @@ impl Predictor {
         })
     }
 
-    /// The cut of the world for a level scanner of one row, if it is known or due. With a deadline the row has to be surely in time, and
-    /// so has a cut that is made.
+    /// The cut of the world for a level scanner of one row, if it is known or due. With a deadline, the row and any new cut
+    /// must be certain to finish in time.
     pub(super) fn find_cut(&self, vantage: &Vantage<'_>, timed: Option<&DeadlineFrame>) -> Option<Arc<RowCut>> {
         let Vantage { world, sensor, world_from_sensor } = *vantage;
         if !self.may_cut() || !self.engine.draws_cuts() || !is_row(sensor) {

@@ -304,7 +304,7 @@ impl Predictor {
     /// [`ErrorKind::Usage`] if the world's version differs from the prediction's; [`ErrorKind::Invalid`] without
     /// `polygon_id`.
     pub fn predict_outlines(&mut self, world: &World, prediction: &Prediction) -> Result<Vec<SeenFeature>> {
-        let Prediction { request, sensor, world_from_sensor, images, .. } = prediction;
+        let Prediction { request, sensor, pose, images, .. } = prediction;
         let (Some(options), Some(seen)) = (&request.features, &prediction.features) else { return Ok(Vec::new()) };
         if world.version() != prediction.world_version {
             let (is, was) = (world.version(), prediction.world_version);
@@ -314,7 +314,7 @@ impl Predictor {
         let placed = self.place(world, sensor, options)?;
         let sides = sides_seen_in_part(&placed.features, seen);
         let settings = FeatureSettings { feature_id: false, hidden: Hidden::Full, ..settings(request) };
-        let predict = || predict_features(world, sensor, world_from_sensor, images, &sides, &settings);
+        let predict = || predict_features(world, sensor, &pose.world_from_sensor(), images, &sides, &settings);
         Ok(self.on_threads(predict)??.features)
     }
 }

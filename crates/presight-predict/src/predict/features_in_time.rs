@@ -93,7 +93,7 @@ mod tests {
     use presight_features::generate::{FeatureKind, GenerateOptions, generate};
     use presight_features::{FeatureOptions, place};
     use presight_model::environment::NewObject;
-    use presight_model::geometry::Pose;
+    use presight_model::geometry::{Pose, SensorPose};
     use presight_model::world::World;
     use presight_testkit::scenes;
     use std::sync::Arc;
@@ -125,7 +125,7 @@ mod tests {
             .with_deadline(Duration::from_secs(3600));
         let mut predictor = Predictor::new(Options::new(Backend::Cpu)).unwrap();
         let mut tree_after = || {
-            predictor.predict(&world, &scenes::camera(64, 48), &Pose::IDENTITY, &request).unwrap();
+            predictor.predict(&world, &scenes::camera(64, 48), &SensorPose::IDENTITY, &request).unwrap();
             predictor.tree.clone().expect("the tree is kept")
         };
         assert!(Arc::ptr_eq(&tree_after(), &tree_after()));

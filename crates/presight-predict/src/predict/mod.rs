@@ -13,7 +13,7 @@ use features::FeatureTask;
 use presight_features::{FeaturePrediction, Vantage};
 use presight_model::clock::Instant;
 use presight_model::error::Result;
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_model::world::World;
@@ -56,7 +56,7 @@ pub struct Options {
     pub raster: Raster,
     /// Lets a GPU first draw what the sensor's last frame showed, see [`Options::with_reuse_visible`].
     pub reuse_visible: bool,
-    /// How the CPU engine finds what rays see; images have the same bits either way.
+    /// The CPU engine's strategy of finding what rays see; images have the same bits with each.
     pub way: Way,
 }
 
@@ -111,7 +111,7 @@ pub struct Prediction {
     /// The sensor.
     pub sensor: Sensor,
     /// Its pose, body axes.
-    pub world_from_sensor: Pose,
+    pub pose: SensorPose,
     /// The version of the world that was used.
     pub world_version: u64,
     /// The requested images, with `feature_id` if it was requested.
@@ -126,11 +126,11 @@ pub struct Prediction {
 ///
 /// ```
 /// use presight::environment::Environment;
-/// use presight::{Backend, Options, Pose, Predictor, Request, World};
+/// use presight::{Backend, Options, Predictor, Request, SensorPose, World};
 /// let world = World::new(Environment::new());
 /// let sensor = presight::preset("laser-scanner")?;
 /// let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1))?;
-/// let prediction = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
+/// let prediction = predictor.predict(&world, &sensor, &SensorPose::IDENTITY, &Request::default())?;
 /// assert!(prediction.images.range.iter().all(|r| *r == f32::INFINITY));
 /// # Ok::<(), presight::Error>(())
 /// ```
@@ -227,7 +227,7 @@ impl Predictor {
         self.engine.name()
     }
 
-    /// Predicts everything in the request for a sensor at a pose (world from sensor, body axes).
+    /// Predicts everything in the request for a sensor at a pose.
     ///
     /// If the GPU is lost, it is opened again once per prediction. With [`Backend::Auto`] the CPU engine takes over if
     /// that fails, or if the device has too little memory; [`Stats::notices`] reports that from then on.
@@ -237,7 +237,7 @@ impl Predictor {
     /// use presight::features::{FeatureOptions, PlacedFeature};
     /// use presight::features::BoxOptions;
     /// use presight::environment::Environment;
-    /// use presight::{Options, Pose, Predictor, Request, World};
+    /// use presight::{Options, Predictor, Request, SensorPose, World};
     /// use glam::{DMat3, DVec3};
     ///
     /// // An edge 3 m ahead in an empty world.
@@ -252,7 +252,7 @@ impl Predictor {
     ///     .with_regions(BoxOptions::default().with_sensor_sigmas([0.02, 0.02, 0.02, 0.0, 0.0, 0.01]));
     /// let camera = presight::preset("video-camera")?;
     /// let mut predictor = Predictor::new(Options::default())?;
-    /// let seen = predictor.predict(&World::new(Environment::new()), &camera, &Pose::IDENTITY, &request)?;
+    /// let seen = predictor.predict(&World::new(Environment::new()), &camera, &SensorPose::IDENTITY, &request)?;
     /// let edge = &seen.features.as_ref().expect("they were requested").features[0];
     /// assert_eq!((edge.feature.id, edge.visible_fraction), (7, 1.0));
     /// let [x0, y0, x1, y1] = edge.roi.expect("it is seen");
@@ -261,7 +261,7 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// The errors of [`Request::check`] and [`Pose::check`]; [`presight_model::ErrorKind::Usage`] if features are requested but the
+    /// The errors of [`Request::check`] and [`presight_model::geometry::Pose::check`]; [`presight_model::ErrorKind::Usage`] if features are requested but the
     /// world has none for the sensor's class; [`presight_model::ErrorKind::Invalid`] for features of objects or polygons that are not
     /// in the world; [`presight_model::ErrorKind::System`] if the system refuses memory or threads; [`presight_model::ErrorKind::DeviceLost`] and
     /// [`presight_model::ErrorKind::DeviceMemory`] with [`Backend::Gpu`]; [`presight_model::ErrorKind::Deadline`] if no image can be made within
@@ -271,13 +271,13 @@ impl Predictor {
         &mut self,
         world: &World,
         sensor: &Sensor,
-        world_from_sensor: &Pose,
+        pose: &SensorPose,
         request: &Request,
     ) -> Result<Prediction> {
         let mut prediction = Prediction {
             request: request.clone(),
             sensor: sensor.clone(),
-            world_from_sensor: *world_from_sensor,
+            pose: *pose,
             world_version: world.version(),
             images: Images::default(),
             features: None,
@@ -292,33 +292,29 @@ impl Predictor {
     ///
     /// ```
     /// use presight::environment::Environment;
-    /// use presight::{Options, Pose, Predictor, Request, World};
+    /// use presight::{Options, Predictor, Request, SensorPose, World};
     /// let (world, sensor) = (World::new(Environment::new()), presight::preset("laser-scanner")?);
     /// let mut predictor = Predictor::new(Options::default())?;
-    /// let mut prediction = predictor.predict(&world, &sensor, &Pose::IDENTITY, &Request::default())?;
-    /// let pose = Pose::from_xyz_rpy(glam::DVec3::X, 0.0, 0.0, 0.1);
+    /// let mut prediction = predictor.predict(&world, &sensor, &SensorPose::IDENTITY, &Request::default())?;
+    /// let pose = SensorPose::from_xyz_rpy(glam::DVec3::X, 0.0, 0.0, 0.1);
     /// predictor.predict_again(&world, &pose, &mut prediction)?;
-    /// assert_eq!(prediction.world_from_sensor, pose);
+    /// assert_eq!(prediction.pose, pose);
     /// # Ok::<(), presight::Error>(())
     /// ```
     ///
     /// # Errors
     /// Same as [`Predictor::predict`].
-    pub fn predict_again(
-        &mut self,
-        world: &World,
-        world_from_sensor: &Pose,
-        prediction: &mut Prediction,
-    ) -> Result<()> {
-        prediction.world_from_sensor = *world_from_sensor;
+    pub fn predict_again(&mut self, world: &World, pose: &SensorPose, prediction: &mut Prediction) -> Result<()> {
+        prediction.pose = *pose;
         prediction.world_version = world.version();
         self.fill(world, prediction)
     }
 
     /// Fulfils the request of a prediction whose sensor and pose are set.
     fn fill(&mut self, world: &World, prediction: &mut Prediction) -> Result<()> {
-        let Prediction { request, sensor, world_from_sensor, images, features, stats, .. } = prediction;
+        let Prediction { request, sensor, pose, images, features, stats, .. } = prediction;
         request.check(sensor)?;
+        let world_from_sensor = &pose.world_from_sensor();
         world_from_sensor.check()?;
         if self.backend == Backend::Auto && request.deadline.is_some() && self.engine.with_deadline().is_none() {
             let why = format!("the CPU engine kept the deadline: {} cannot stop", self.engine.name());
@@ -365,11 +361,11 @@ impl Predictor {
         &mut self,
         world: &World,
         sensor: &Sensor,
-        world_from_sensor: &Pose,
+        pose: &SensorPose,
         request: impl Into<ImageRequest>,
         images: &mut Images,
     ) -> Result<Stats> {
-        let vantage = Vantage { world, sensor, world_from_sensor };
+        let vantage = Vantage { world, sensor, world_from_sensor: &pose.world_from_sensor() };
         self.predict_within(&vantage, request.into(), false, images, None)
     }
 

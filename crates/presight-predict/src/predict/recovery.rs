@@ -54,7 +54,7 @@ impl Predictor {
         Ok(())
     }
 
-    /// [`Predictor::prove`], unless nothing is drawn.
+    /// [`Predictor::prove`], for a plan that draws polygons.
     pub(super) fn prove_for(&mut self, plan: &FramePlan) -> Result<()> {
         if plan.polygon_count == 0 { Ok(()) } else { self.prove(&plan.sensor, plan.drawn()) }
     }

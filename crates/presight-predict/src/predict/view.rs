@@ -6,7 +6,7 @@ use crate::virtual_sensors::{View, ViewIds};
 use glam::DVec3;
 use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Geometry, RayTable, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_render::plan::{Output, Outputs};
@@ -19,7 +19,7 @@ impl<'a> View<'a> {
         let ids = ViewIds { environment, scheme, polygon_id: &images.polygon_id, object_id: &images.object_id };
         Self {
             sensor: &prediction.sensor,
-            world_from_sensor: prediction.world_from_sensor,
+            pose: prediction.pose,
             range: &images.range,
             ids: known.then_some(ids),
             features: prediction.features.as_ref(),
@@ -34,21 +34,22 @@ impl Predictor {
     ///
     /// ```
     /// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();
-    /// use presight::{Options, Pose, Predictor, Scene};
+    /// use presight::{Options, Predictor, Scene, SensorPose};
     /// let scene = Scene::open("scenes/room.glb")?;
     /// let mut predictor = Predictor::new(Options::default())?;
-    /// let pose = Pose::from_xyz_rpy(glam::DVec3::new(1.0, 1.5, 0.5), 0.0, 0.0, 0.0);
+    /// let pose = SensorPose::from_xyz_rpy(glam::DVec3::new(1.0, 1.5, 0.5), 0.0, 0.0, 0.0);
     /// let floor = predictor.floor_below(&scene.world, &presight::preset("video-camera")?, &pose)?;
     /// assert!(floor.abs() < 0.05);
     /// # Ok::<(), presight::Error>(())
     /// ```
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Usage`] if nothing is below; the errors of [`Predictor::predict`].
-    pub fn floor_below(&mut self, world: &World, sensor: &Sensor, world_from_sensor: &Pose) -> Result<f64> {
+    /// [`presight_model::ErrorKind::Usage`] if there is no surface below; the errors of [`Predictor::predict`].
+    pub fn floor_below(&mut self, world: &World, sensor: &Sensor, pose: &SensorPose) -> Result<f64> {
         let down = RayTable::new(1, 1, vec![DVec3::NEG_Z])?;
         let probe = Sensor::new(SensorSpec::new("straight down", &sensor.spec().class, Geometry::Rays(down)))?;
-        let at = Pose { translation: world_from_sensor.translation, ..Pose::IDENTITY };
+        let place = pose.world_from_sensor().translation;
+        let at = SensorPose::new(Pose { translation: place, ..Pose::IDENTITY });
         let request = Request::of(Outputs::of(&[Output::Range]));
         let range = f64::from(self.predict(world, &probe, &at, &request)?.images.range[0]);
         if !range.is_finite() {
@@ -56,6 +57,6 @@ impl Predictor {
             let remedy = "give `Settings::floor_z_world`, or robot_from_sensor under [mount] in the sensor's file";
             return Err(Error::usage(what, remedy).at("free-floor"));
         }
-        Ok(world_from_sensor.translation.z - range)
+        Ok(place.z - range)
     }
 }

@@ -1,7 +1,7 @@
 //! Tests whether an engine draws correctly on this machine: drivers have faults, and a wrong image is worse than none.
 //!
-//! A tiny scene, seen by a tiny sensor of each kind that has its own code path, is compared to the reference in the
-//! same way as in every test ([`presight_render::verify`]).
+//! A tiny scene, seen by a tiny sensor of each kind that has its own code path, is compared to the reference
+//! as in every test ([`presight_render::verify`]).
 
 mod features;
 

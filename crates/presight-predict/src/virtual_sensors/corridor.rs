@@ -62,13 +62,13 @@ struct Placement {
     arc: f64,
 }
 
-/// Largest number of points of a line, and of poses.
+/// Maximum number of points of a line, and of poses.
 const MAX_POINTS: usize = 10_000;
-/// Largest number of corners of a polygon or footprint.
+/// Maximum number of corners of a polygon or footprint.
 const MAX_CORNERS: usize = 256;
 /// Metres between two placements of a swept footprint.
 const SWEEP_STEP: f64 = 0.01;
-/// Largest number of placements of a swept footprint.
+/// Maximum number of placements of a swept footprint.
 const MAX_PLACEMENTS: usize = 20_000;
 
 fn wrong<T>(what: String, remedy: &str, place: impl Into<String>) -> Result<T> {
@@ -174,7 +174,7 @@ impl Corridor {
 
     /// Makes a corridor from the corners of the robot's footprint and the poses over which it moves: x, y, metres, and
     /// yaw, radians, all in the robot's current frame. Between two poses the footprint moves along a straight line and
-    /// turns evenly the shorter way.
+    /// turns evenly in the shorter sense.
     ///
     /// # Errors
     /// As [`Corridor::polygon`], and for no poses, too many, or a sweep that is too long.
@@ -229,24 +229,23 @@ impl Corridor {
         self.frame
     }
 
-    /// Greatest distance along the corridor, metres: the length of its line or way; for a polygon that of its farthest
-    /// corner.
+    /// Length of the corridor, metres: that of its line or path; for a polygon the distance of its farthest corner.
     pub fn length(&self) -> f64 {
         self.length
     }
 
-    /// Least and greatest z, metres.
+    /// Minimum and maximum z, metres.
     pub fn heights(&self) -> [f64; 2] {
         [self.z_min, self.z_max]
     }
 
-    /// A box around it, seen from above: least and greatest x and y, metres.
+    /// A box around it, seen from above: minimum and maximum x and y, metres.
     pub fn bounds(&self) -> [DVec2; 2] {
         self.bounds
     }
 
-    /// Distance along the corridor, metres, of a point in its frame: along the line to the point nearest to it, on the
-    /// way that the footprint travels until it covers the point, or from the robot's origin in a polygon. If several
+    /// Distance along the corridor, metres, of a point in its frame: along the line to the point nearest to it, along
+    /// the path that the footprint travels until it covers the point, or from the robot's origin in a polygon. If several
     /// straight pieces of a line are within half the width, the first one counts. Returns `None` outside the corridor.
     pub fn arc_length_at(&self, [x, y, z]: [f64; 3]) -> Option<f64> {
         if z >= self.z_min && z <= self.z_max { self.arc_length_from_above(DVec2::new(x, y)) } else { None }

@@ -28,7 +28,7 @@ use serde::Serialize;
 const AXES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
 /// Degrees of freedom of a planar sensor, as indices into [`AXES`].
 const PLANAR: [usize; 3] = [0, 1, 5];
-/// Smallest visible fraction at which a fiducial is decoded.
+/// Minimum visible fraction at which a fiducial is decoded.
 const WHOLE: f64 = 0.99;
 /// A direction is undetermined if its information is below this share of the largest, with angles scaled to lengths at
 /// the landmarks' distance. Its standard deviation is then over 10^5 times the smallest. Rounding is at 10^-16.
@@ -80,7 +80,7 @@ impl Docking {
     }
 }
 
-/// Checks that the noise of everything measured is stated.
+/// Checks that the sensor states the noise of each measured quantity.
 pub(super) fn check_noise(sensor: &Sensor) -> Result<()> {
     let noise = sensor.spec().noise;
     let across = match sensor.spec().geometry {

@@ -16,9 +16,9 @@ use presight_model::error::Result;
 use presight_model::sensor::Geometry;
 use serde::Serialize;
 
-/// Largest tilt of floor, radians (2 degrees).
+/// Maximum tilt of floor, radians (2 degrees).
 pub const FLOOR_TILT: f64 = 2.0 * std::f64::consts::PI / 180.0;
-/// Largest distance of floor above or below its stated height, metres.
+/// Maximum distance of floor above or below its stated height, metres.
 pub const FLOOR_HEIGHT: f64 = 0.05;
 
 /// Visible free floor.

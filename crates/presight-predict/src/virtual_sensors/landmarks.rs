@@ -64,7 +64,7 @@ pub(super) fn reduce(view: &View<'_>, features: &FeaturePrediction) -> Landmarks
 
 /// Returns `None` for a feature without points.
 fn landmark(view: &View<'_>, seen: &SeenFeature) -> Option<Landmark> {
-    let (sensor_from_world, mount) = (view.world_from_sensor.inverse(), view.sensor.spec().mount);
+    let (sensor_from_world, mount) = (view.pose.world_from_sensor().inverse(), view.sensor.spec().mount);
     let points = &seen.points_world;
     let position_world = *points.first()? + points.iter().map(|p| *p - points[0]).sum::<DVec3>() / points.len() as f64;
     let p_in_sensor = sensor_from_world.transform_point(position_world);

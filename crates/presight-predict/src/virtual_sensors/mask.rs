@@ -168,24 +168,24 @@ impl Mask {
     /// Follows an outline downward from the top left corner of a pixel; `done` marks the left sides passed.
     fn outline(&self, pixel: (i64, i64), every_corner: bool, done: &mut [bool]) -> Vec<(u32, u32)> {
         let mut corners = Vec::new();
-        let (mut at, mut way) = (pixel, PixelSide::Down);
+        let (mut at, mut side) = (pixel, PixelSide::Down);
         loop {
-            if way == PixelSide::Down {
+            if side == PixelSide::Down {
                 done[at.1 as usize * self.width as usize + at.0 as usize] = true;
             }
-            let (dx, dy) = way.step();
+            let (dx, dy) = side.step();
             at = (at.0 + dx, at.1 + dy);
-            let [left, right] = way.ahead().map(|(dx, dy)| self.has(at.0 + dx, at.1 + dy));
+            let [left, right] = side.ahead().map(|(dx, dy)| self.has(at.0 + dx, at.1 + dy));
             let next = match (left, right) {
-                (false, _) => way.turned_left(),
-                (true, false) => way,
-                (true, true) => way.turned_right(),
+                (false, _) => side.turned_left(),
+                (true, false) => side,
+                (true, true) => side.turned_right(),
             };
-            if next != way || every_corner {
+            if next != side || every_corner {
                 corners.push((at.0 as u32, at.1 as u32));
             }
-            way = next;
-            if at == pixel && way == PixelSide::Down {
+            side = next;
+            if at == pixel && side == PixelSide::Down {
                 // Put the starting corner first.
                 corners.rotate_right(1);
                 return corners;

@@ -187,7 +187,7 @@ impl VirtualSensor {
     /// ```
     /// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
     /// use presight::environment::Environment;
-    /// use presight::{Options, Pose, Predictor, Request, World};
+    /// use presight::{Options, Pose, Predictor, Request, SensorPose, World};
     /// use glam::DVec3;
     /// // A wall 2 m ahead of a radar, 4 m wide.
     /// let mut environment = Environment::new();
@@ -197,7 +197,7 @@ impl VirtualSensor {
     ///
     /// let (radar, task) = (presight::preset("microwave-radar-scan")?, VirtualSensor::RadarLines);
     /// let mut predictor = Predictor::new(Options::default())?;
-    /// let prediction = predictor.predict(&world, &radar, &Pose::IDENTITY, &Request::of(task.outputs()))?;
+    /// let prediction = predictor.predict(&world, &radar, &SensorPose::IDENTITY, &Request::of(task.outputs()))?;
     /// let reading = task.reduce(&View::of(&prediction, world.environment()), &Settings::default())?;
     /// let Answer::RadarLines(found) = &reading.answer else { unreachable!() };
     /// // The line ends at the hits of the outermost beams, 0.1 degrees apart.
@@ -211,7 +211,7 @@ impl VirtualSensor {
     /// needed but were not predicted; [`presight_model::ErrorKind::Invalid`] if an image is missing or has a wrong
     /// size, or if the task needs ids that the view lacks (`free-floor`, `radar-lines`, `vertical-planes`).
     pub fn reduce(self, view: &View<'_>, settings: &Settings) -> Result<VirtualReading> {
-        view.world_from_sensor.check()?;
+        view.pose.world_from_sensor().check()?;
         self.check(view.sensor)?;
         let features = || {
             let class = self.class();

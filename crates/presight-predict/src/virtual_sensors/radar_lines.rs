@@ -11,7 +11,7 @@ use presight_model::error::Result;
 use presight_model::sensor::Geometry;
 use serde::Serialize;
 
-/// Largest distance of one line's ends from another for them to be one line, metres. Their normals must also differ by
+/// Maximum distance of one line's ends from another line for both to be merged, metres. Their normals must also differ by
 /// less than half a degree.
 pub const COLLINEAR: f64 = 1e-3;
 

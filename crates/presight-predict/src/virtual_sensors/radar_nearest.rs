@@ -107,7 +107,7 @@ pub(super) fn reduce(view: &View<'_>, corridor: Option<&Corridor>) -> Result<Nea
     let (mut nearest, mut first, mut beams) = (None, None, 0);
     let corridor_from_sensor = corridor.map(|c| match c.frame() {
         CorridorFrame::Robot => view.sensor.spec().mount,
-        CorridorFrame::World => view.world_from_sensor,
+        CorridorFrame::World => view.pose.world_from_sensor(),
     });
     let complete_to = view.given_up.map(Degradation::complete_everywhere_to).filter(|to| to.is_finite());
     for column in 0..width {

@@ -9,9 +9,9 @@ use glam::DVec3;
 use presight_model::error::Result;
 use serde::Serialize;
 
-/// Largest angle between a vertical plane's normal and the horizontal, radians (2 degrees).
+/// Maximum angle between a vertical plane's normal and the horizontal, radians (2 degrees).
 pub const VERTICAL: f64 = 2.0 * std::f64::consts::PI / 180.0;
-/// Largest distance between the visible part of one surface and the plane of another for them to be one plane, metres.
+/// Maximum distance between the visible part of one surface and the plane of another for both to be merged, metres.
 /// Their normals must also differ by less than half a degree.
 pub const COPLANAR: f64 = 1e-3;
 
@@ -42,7 +42,7 @@ pub struct VerticalPlane {
     pub area: Option<f64>,
     /// Object shown by most pixels.
     pub object: String,
-    /// Smallest column and row, largest column and row. A region across the seam of a full circle spans all columns.
+    /// First column and row, last column and row. A region across the seam of a full circle spans all columns.
     pub pixel_bounds: [u32; 4],
 }
 

@@ -2,7 +2,7 @@
 
 use presight_features::FeaturePrediction;
 use presight_model::environment::Environment;
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::sensor::Sensor;
 use presight_render::deadline::Degradation;
 use presight_render::plan::IdScheme;
@@ -11,12 +11,12 @@ use presight_render::plan::IdScheme;
 ///
 /// ```
 /// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
-/// use presight::Pose;
+/// use presight::SensorPose;
 /// // A measured scan: everything is 3 m away except at one beam.
 /// let radar = presight::preset("microwave-radar-scan")?;
 /// let mut range = vec![3.0; radar.width() as usize];
 /// range[100] = 1.25;
-/// let view = View::new(&radar, &Pose::IDENTITY).with_range(&range);
+/// let view = View::new(&radar, &SensorPose::IDENTITY).with_range(&range);
 /// let reading = VirtualSensor::RadarNearest.reduce(&view, &Settings::default())?;
 /// let Answer::RadarNearest(found) = &reading.answer else { unreachable!() };
 /// let nearest = found.nearest.as_ref().expect("something is there");
@@ -30,7 +30,7 @@ pub struct View<'a> {
     /// The sensor.
     pub sensor: &'a Sensor,
     /// Its pose, body axes.
-    pub world_from_sensor: Pose,
+    pub pose: SensorPose,
     /// Metres along each pixel's ray, row-major; see [`presight_render::Images`]. Empty for tasks that need features
     /// only.
     pub range: &'a [f32],
@@ -56,9 +56,9 @@ pub struct ViewIds<'a> {
 }
 
 impl<'a> View<'a> {
-    /// A view of a sensor at a pose (body axes) without images or features.
-    pub fn new(sensor: &'a Sensor, world_from_sensor: &Pose) -> Self {
-        Self { sensor, world_from_sensor: *world_from_sensor, range: &[], ids: None, features: None, given_up: None }
+    /// A view of a sensor at a pose without images or features.
+    pub fn new(sensor: &'a Sensor, pose: &SensorPose) -> Self {
+        Self { sensor, pose: *pose, range: &[], ids: None, features: None, given_up: None }
     }
 
     /// Sets the ranges, metres along each pixel's ray, row-major.

@@ -1,7 +1,7 @@
 //! Kalibr's camchain (`cam0: {..}`, `cam1: {..}`) and EuRoC's `sensor.yaml`, which is one camera of it.
 //!
-//! `intrinsics` are fx, fy, cx, cy in pixels of `resolution`. `T_cam_imu`, `T_cn_cnm1` and `T_BS` say where the camera is
-//! on its rig. They are not used: poses given to presight are poses of the camera.
+//! `intrinsics` are fx, fy, cx, cy in pixels of `resolution`. The camera's place on its rig (`T_cam_imu`, `T_cn_cnm1`,
+//! `T_BS`) is not used: poses given to presight are poses of the camera.
 
 use super::{Keys, lens, off_centre, unused, yaml};
 use presight_model::error::{Error, ErrorKind, Result};
@@ -21,7 +21,7 @@ struct Entry {
     distortion_coeffs: Option<Vec<f64>>,
 }
 
-/// Whether a key is that of a camera in a chain: `cam0`, `cam1`, ..
+/// True for the key of a camera in a chain: `cam0`, `cam1`, ..
 pub(super) fn is_camera(key: &str) -> bool {
     key.strip_prefix("cam").is_some_and(|number| !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit()))
 }

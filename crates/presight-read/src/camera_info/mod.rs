@@ -3,7 +3,7 @@
 //! - OpenCV's `FileStorage` (`%YAML:1.0`, `!!opencv-matrix`) with keys of the same meaning (`ros` reads both);
 //! - Kalibr's camchain, from which one camera is taken, and EuRoC's `sensor.yaml` (`chain` reads both).
 //!
-//! Files of other tools that are known by their keys are refused by name (`others`).
+//! A file of another tool is recognized by its keys and refused; the error names the tool (`others`).
 
 mod chain;
 mod others;
@@ -26,7 +26,8 @@ type Keys = BTreeMap<String, IgnoredAny>;
 /// Reads the calibration of a camera. Also returns notices on parts of the file that are not used.
 ///
 /// `camera` is the key of a camera of a camchain, such as `cam1`; by default the first one is taken. `rectified` asks
-/// for the rectified camera of a camera_info (P, and R as [`SensorSpec::optical_from_image`]), not the raw one (K and D).
+/// for the rectified camera of a camera_info (P, and R as [`SensorSpec::optical_from_image`]), not the raw one (K and
+/// D).
 ///
 /// # Errors
 /// [`ErrorKind::Invalid`] with the line or key at fault; [`ErrorKind::Unsupported`] for a format and for a lens that
@@ -61,8 +62,8 @@ pub fn parse(text: &str, name: &str, camera: Option<&str>, rectified: bool) -> R
     chain::parse(text, &keys, name, camera)
 }
 
-/// The text in plain YAML, with as many lines and columns: OpenCV's directive `%YAML:1.0` and its tags `!!opencv-..` are
-/// no valid YAML and say nothing that the keys do not.
+/// Turns OpenCV's YAML into plain YAML with the same lines and columns. Its directive `%YAML:1.0` and its tags
+/// `!!opencv-..` are invalid YAML, and the keys hold the same information.
 fn without_opencv(text: &str) -> Cow<'_, str> {
     const TAG: &str = "!!opencv-";
     if !text.starts_with('%') && !text.contains(TAG) {
@@ -99,11 +100,11 @@ fn first_document(text: &str) -> &str {
     text
 }
 
-/// Most nodes of a file, with every use of an alias counted.
+/// Maximum number of nodes in a file, with every use of an alias counted. A camera has under a hundred.
 const MAX_NODES: usize = 10_000;
 
 fn yaml<T: DeserializeOwned>(text: &str) -> Result<T> {
-    // Aliases can expand into very many nodes; a camera has under a hundred.
+    // Aliases can expand into very many nodes.
     let options = serde_saphyr::options! { budget: serde_saphyr::budget! { max_nodes: MAX_NODES } };
     serde_saphyr::from_str_with_options(text, options).map_err(|e| {
         let wrong = Error::invalid(
@@ -173,8 +174,8 @@ fn off_centre(size: [u32; 2], binned: [u32; 2], c: [f64; 2]) -> Option<String> {
     let [w, h] = binned;
     if binned != size && w > 0 && h > 0 && from_middle(binned, c) < from_middle(size, c) {
         return Some(format!(
-            "{far}: K is taken for the full image, as ROS defines it; if it is that of the binned image, {w} x {h}, write \
-             this size as width and height, and binning_x and binning_y of 1"
+            "{far}: K is taken for the full image, as ROS defines it; if it is that of the binned image, {w} x {h}, \
+             write this size as width and height, and binning_x and binning_y of 1"
         ));
     }
     let [w, h] = c.map(|c| 2.0 * c + 1.0);

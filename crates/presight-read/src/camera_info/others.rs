@@ -22,8 +22,8 @@ const OTHERS: [(&str, &str, &str); 13] = [
 
 const ORB_SLAM: &str = "the settings of ORB-SLAM";
 
-const FROM_ORB_SLAM: &str = "give a ROS camera_info with camera_matrix from its fx, fy, cx, cy and distortion_coefficients from its k1, \
-                             k2, p1, p2, k3";
+const FROM_ORB_SLAM: &str = "give a ROS camera_info with camera_matrix from its fx, fy, cx, cy and \
+                             distortion_coefficients from its k1, k2, p1, p2, k3";
 
 const ONE_CAMERA: &str =
     "give a ROS camera_info of one camera: image_width, image_height, camera_matrix, distortion_coefficients";
@@ -45,6 +45,7 @@ pub(super) fn refuse(keys: &Keys) -> Result<()> {
     if keys.keys().any(is_camera) {
         return Ok(());
     }
-    let what = "no key of a camera: neither ROS's camera_info, Kalibr's camchain, EuRoC's sensor.yaml nor OpenCV's FileStorage";
+    let what = "no key of a camera: neither ROS's camera_info, Kalibr's camchain, EuRoC's sensor.yaml nor OpenCV's \
+                FileStorage";
     Err(Error::invalid(what, ONE_CAMERA))
 }

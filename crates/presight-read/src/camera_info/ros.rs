@@ -1,9 +1,9 @@
 //! ROS camera_info, and OpenCV's `FileStorage` with keys of the same meaning.
 //!
-//! The sensor is the *raw* image, given by K, D, binning and region of interest, or the *rectified* one, given by P and R.
-//! R turns the optical frame of the camera into that of the rectified image: x_rectified = R x_camera. Poses stay those
-//! of the camera. In P = [fx 0 cx Tx; 0 fy cy Ty; 0 0 1 0] the last column says where a camera of a stereo pair is, seen
-//! from the first one; its image does not depend on it.
+//! The sensor is the *raw* image, given by K, D, binning and region of interest, or the *rectified* one, given by P and
+//! R. R turns the optical frame of the camera into that of the rectified image: x_rectified = R x_camera. Poses stay
+//! those of the camera. In P = [fx 0 cx Tx; 0 fy cy Ty; 0 0 1 0] the last column is the offset from the first camera of
+//! a stereo pair; the image does not depend on it.
 //!
 //! The region of interest is given in pixels of the full resolution and cut out first. Then `binning_x` x `binning_y`
 //! pixels become one ("combines rectangular neighborhoods of pixels into larger super-pixels", CameraInfo.msg). With
@@ -178,7 +178,8 @@ impl File {
         }
         if tx != 0.0 || ty != 0.0 {
             notices.push(format!(
-                "P is that of a camera {:.4} m right of and {:.4} m below the first one of its stereo pair: poses are its own",
+                "P belongs to a camera {:.4} m right of and {:.4} m below the first one of its stereo pair: poses are \
+                 poses of this camera",
                 0.0 - tx / fx,
                 0.0 - ty / fy
             ));
@@ -197,8 +198,8 @@ impl File {
         let [bx, by] = self.binning();
         if bx > 1 || by > 1 {
             notices.push(format!(
-                "binning {bx} x {by}: the principal point is that of averaged pixels; image_geometry places it {} and {} \
-                 pixels further right and down",
+                "binning {bx} x {by}: the principal point is that of averaged pixels; image_geometry places it {} and \
+                 {} pixels further right and down",
                 shift(bx),
                 shift(by)
             ));
@@ -261,7 +262,7 @@ impl File {
     }
 }
 
-/// Most that an element of R R^T may differ from that of the identity; files have at least four digits.
+/// Maximum difference between an element of R R^T and that of the identity; files have at least four digits.
 const NOT_TURNED: f64 = 1e-3;
 
 /// Principal point after cutting and binning; see the module documentation.

@@ -66,7 +66,8 @@ fn a_message_as_topic_echo_prints_it_is_read() {
 fn region_first_then_binning_and_the_half_pixel_is_kept() {
     let full = camera_of(CALIBRATION);
     let text = format!(
-        "{CALIBRATION}binning_x: 4\nbinning_y: 2\nroi: {{x_offset: 96, y_offset: 72, height: 501, width: 800, do_rectify: false}}\n"
+        "{CALIBRATION}binning_x: 4\nbinning_y: 2\n\
+         roi: {{x_offset: 96, y_offset: 72, height: 501, width: 800, do_rectify: false}}\n"
     );
     let small = camera_of(&text);
     assert_eq!((small.width, small.height), (200, 250));
@@ -309,12 +310,14 @@ fn euroc_and_kalibr_are_read() {
 fn files_of_other_tools_are_refused_by_name() {
     for (text, says) in [
         (
-            "%YAML:1.0\n\n#---\n# Camera Parameters: see below\n#---\nCamera.type: \"PinHole\"\nCamera.fx: 535.4\nCamera.width: 640\n",
+            "%YAML:1.0\n\n#---\n# Camera Parameters: see below\n#---\nCamera.type: \"PinHole\"\nCamera.fx: 535.4\n\
+             Camera.width: 640\n",
             "ORB-SLAM",
         ),
         ("%YAML:1.0\nFile.version: \"1.0\"\nCamera1.fx: 458.6\nLEFT.R: !!opencv-matrix\n   data: [1]\n", "ORB-SLAM"),
         (
-            "%YAML:1.0\n---\nmodel_type: PINHOLE\ncamera_name: c\nimage_width: 752\nimage_height: 480\nprojection_parameters:\n   fx: 4.6e+02\n",
+            "%YAML:1.0\n---\nmodel_type: PINHOLE\ncamera_name: c\nimage_width: 752\nimage_height: 480\n\
+             projection_parameters:\n   fx: 4.6e+02\n",
             "VINS",
         ),
         ("%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   data: [1]\nD1: [1]\n", "stereo"),
@@ -348,7 +351,7 @@ fn a_principal_point_far_from_the_middle_is_a_warning_with_both_readings() {
     let as_binned = BINNED.replace("1544", "386").replace("2064", "516").replace(": 4\n", ": 1\n");
     let camera = camera_of(&as_binned);
     assert_eq!((doubt(&as_binned), camera.width, camera.cx), (None, 516, 254.1));
-    // Without binning: calibrated at half the size, and at twice the size.
+    // No binning: calibrated at half the size, and at twice the size.
     let plain = BINNED.replace(": 4\n", ": 1\n");
     for (cx, cy, size) in [("511.0", "380.0", "1023 x 761"), ("2100.0", "1500.0", "4201 x 3001")] {
         let said = doubt(&plain.replace("254.1", cx).replace("183.9", cy)).unwrap();

@@ -5,7 +5,7 @@
 //! - **PLY** 1.0: text or binary, with `vertex` as the first element. A file of presight with points in the world also
 //!   holds the sensor's pose, and the points are transformed back.
 //! - **PCD** up to 0.7: `ascii` or `binary`. `VIEWPOINT` is the sensor's pose in the world. A cloud of several rows is
-//!   organized: one point per pixel, NaN where nothing was measured.
+//!   organized: one point per pixel, NaN for a pixel without a measurement.
 //! - **CSV**: one point per line, with `x,y,z` first or columns named by the first line; `#` starts a comment.
 
 mod csv;
@@ -18,11 +18,11 @@ mod tests;
 use super::file;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::SensorPose;
 use presight_model::limits;
 use std::path::Path;
 
-/// What presight's PLY and PCD files say in a comment of points in the world.
+/// The comment in presight's PLY and PCD files whose points are in the world.
 pub const POINTS_IN_WORLD: &str = "world: z up; metres";
 
 /// The points of one scan.
@@ -33,7 +33,7 @@ pub struct Cloud {
     /// Columns and rows of an organized cloud.
     pub size: Option<(u32, u32)>,
     /// The sensor's pose, if the file gives it.
-    pub world_from_sensor: Option<Pose>,
+    pub pose: Option<SensorPose>,
 }
 
 /// Reads a cloud in the format of its file extension.

@@ -2,12 +2,11 @@
 
 use super::records::{Encoding, Number, Records};
 use super::{Cloud, POINTS_IN_WORLD, header, whole};
-use glam::{DQuat, DVec3};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::printable::quoted;
 
-/// Most numbers of one point.
+/// Maximum count of numbers in one point.
 const MAX_NUMBERS: usize = 1 << 12;
 
 pub fn parse(bytes: &[u8]) -> Result<Cloud> {
@@ -47,8 +46,8 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
     }
     let points = Records { encoding, count, numbers }.points(body)?;
     // Writers put the identity if they do not know the pose.
-    let world_from_sensor = viewpoint.filter(|pose| *pose != Pose::IDENTITY);
-    Ok(Cloud { points, size: (height > 1).then_some((width as u32, height as u32)), world_from_sensor })
+    let pose = viewpoint.filter(|pose| *pose != Pose::IDENTITY).map(SensorPose::new);
+    Ok(Cloud { points, size: (height > 1).then_some((width as u32, height as u32)), pose })
 }
 
 fn numbers(names: &[String], sizes: &[&str], kinds: &[&str], counts: &[&str]) -> Result<Vec<(String, Number)>> {
@@ -96,8 +95,5 @@ fn pose(values: &[&str]) -> Result<Pose> {
     let wrong = || Error::invalid("VIEWPOINT is not a valid pose", "give x y z qw qx qy qz");
     let numbers: Vec<f64> = values.iter().filter_map(|v| v.parse().ok()).collect();
     let [x, y, z, qw, qx, qy, qz] = numbers[..] else { return Err(wrong()) };
-    let rotation = DQuat::from_xyzw(qx, qy, qz, qw);
-    let pose = Pose { translation: DVec3::new(x, y, z), rotation };
-    // A unit quaternion keeps its bits.
-    if pose.check().is_ok() { Ok(pose) } else { Pose::new(pose.translation, rotation).map_err(|_| wrong()) }
+    Pose::of_numbers(&[x, y, z, qx, qy, qz, qw]).map_err(|_| wrong())
 }

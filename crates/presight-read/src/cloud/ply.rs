@@ -3,7 +3,7 @@
 use super::records::{Encoding, Number, Records};
 use super::{Cloud, POINTS_IN_WORLD, header, whole};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::printable::quoted;
 
 pub fn parse(bytes: &[u8]) -> Result<Cloud> {
@@ -54,7 +54,7 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
         let sensor_from_world = world_from_sensor.inverse();
         points.iter_mut().for_each(|p| *p = sensor_from_world.transform_point(*p));
     }
-    Ok(Cloud { points, size: None, world_from_sensor: pose })
+    Ok(Cloud { points, size: None, pose: pose.map(SensorPose::new) })
 }
 
 fn encoding(name: &str) -> Result<Encoding> {

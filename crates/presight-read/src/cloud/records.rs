@@ -5,7 +5,7 @@ use glam::DVec3;
 use presight_model::error::{Error, Result};
 use presight_model::{limits, memory};
 
-/// How numbers are written.
+/// The encoding of numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Encoding {
     Text,

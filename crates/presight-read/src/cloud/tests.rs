@@ -1,7 +1,7 @@
 use super::*;
 use presight_model::error::ErrorKind;
 
-fn told(name: &str, bytes: &[u8]) -> Result<Cloud> {
+fn read_bytes(name: &str, bytes: &[u8]) -> Result<Cloud> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
     std::fs::write(&path, bytes).unwrap();
@@ -14,7 +14,7 @@ fn with(header: &str, body: &[u8]) -> Vec<u8> {
 
 const TWO: [DVec3; 2] = [DVec3::new(1.5, -2.0, 0.25), DVec3::new(3.0, 4.0, -1.0)];
 
-/// The same two points in every encoding; other fields lie between the coordinates.
+/// Two points in every encoding; other fields lie between the coordinates.
 #[test]
 fn every_encoding_gives_the_same_points() {
     let header = |format: &str| {
@@ -36,9 +36,9 @@ fn every_encoding_gives_the_same_points() {
         body
     };
     let text = b"1.5 7 -2 0.25\n3 7 4 -1\n";
-    assert_eq!(told("a.ply", &with(&header("ascii"), text)).unwrap().points, TWO);
-    assert_eq!(told("a.PLY", &with(&header("binary_little_endian"), &binary(true))).unwrap().points, TWO);
-    assert_eq!(told("a.ply", &with(&header("binary_big_endian"), &binary(false))).unwrap().points, TWO);
+    assert_eq!(read_bytes("a.ply", &with(&header("ascii"), text)).unwrap().points, TWO);
+    assert_eq!(read_bytes("a.PLY", &with(&header("binary_little_endian"), &binary(true))).unwrap().points, TWO);
+    assert_eq!(read_bytes("a.ply", &with(&header("binary_big_endian"), &binary(false))).unwrap().points, TWO);
     let pcd = |data: &str| {
         format!(
             "# .PCD v0.7\nVERSION 0.7\nFIELDS x i y z\nSIZE 4 1 8 4\nTYPE F U F F\nCOUNT 1 1 1 1\nWIDTH 2\nHEIGHT 1\n\
@@ -46,34 +46,35 @@ fn every_encoding_gives_the_same_points() {
         )
     };
     for cloud in [with(&pcd("ascii"), text), with(&pcd("binary"), &binary(true))] {
-        let cloud = told("a.pcd", &cloud).unwrap();
+        let cloud = read_bytes("a.pcd", &cloud).unwrap();
         assert_eq!((cloud.points.as_slice(), cloud.size), (TWO.as_slice(), None));
-        assert_eq!(cloud.world_from_sensor.unwrap().translation, DVec3::new(1.0, 2.0, 3.0));
+        assert_eq!(cloud.pose.unwrap().world_from_sensor().translation, DVec3::new(1.0, 2.0, 3.0));
     }
-    assert_eq!(told("a.csv", b"# by hand\n1.5,-2,0.25\n3,4,-1,9\n").unwrap().points, TWO);
-    assert_eq!(told("a.csv", b"i,Z,y,X\n7,0.25,-2,1.5\n7,-1,4,3\n").unwrap().points, TWO);
+    assert_eq!(read_bytes("a.csv", b"# by hand\n1.5,-2,0.25\n3,4,-1,9\n").unwrap().points, TWO);
+    assert_eq!(read_bytes("a.csv", b"i,Z,y,X\n7,0.25,-2,1.5\n7,-1,4,3\n").unwrap().points, TWO);
 }
 
 #[test]
 fn whole_numbers_keep_their_sign() {
     let header = "FIELDS x y z\nSIZE 2 1 8\nTYPE I U I\nWIDTH 1\nHEIGHT 1\nDATA binary\n";
     let body = [(-300i16).to_le_bytes().as_slice(), &[200], &(-5i64).to_le_bytes()].concat();
-    assert_eq!(told("a.pcd", &with(header, &body)).unwrap().points, [DVec3::new(-300.0, 200.0, -5.0)]);
+    assert_eq!(read_bytes("a.pcd", &with(header, &body)).unwrap().points, [DVec3::new(-300.0, 200.0, -5.0)]);
 }
 
 /// An organized cloud keeps its pixels; NaN is a missing measurement.
 #[test]
 fn organized_clouds_keep_their_pixels() {
     let header = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 2\nDATA ascii\n";
-    let cloud = told("a.pcd", &with(header, b"1 0 0\n1 1 0\nnan 0 0\n2 0 1\n")).unwrap();
+    let cloud = read_bytes("a.pcd", &with(header, b"1 0 0\n1 1 0\nnan 0 0\n2 0 1\n")).unwrap();
     assert_eq!(cloud.size, Some((2, 2)));
     assert!(cloud.points[2].is_nan() && cloud.points[3] == DVec3::new(2.0, 0.0, 1.0));
 }
 
 #[test]
 fn what_is_wrong_is_named() {
-    let ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n";
-    assert!(told("a.ply", ply.as_bytes()).is_ok());
+    let ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+               end_header\n1 2 3\n";
+    assert!(read_bytes("a.ply", ply.as_bytes()).is_ok());
     let faults = [
         ("ply\n", "plyx\n", None),
         ("end_header\n", "", Some("no end_header")),
@@ -91,13 +92,13 @@ fn what_is_wrong_is_named() {
     ];
     for (part, fault, what) in faults {
         assert!(ply.contains(part));
-        let read = told("a.ply", ply.replace(part, fault).as_bytes());
+        let read = read_bytes("a.ply", ply.replace(part, fault).as_bytes());
         let Some(what) = what else { continue };
         let e = read.unwrap_err();
         assert!(e.file().is_some() && e.to_string().contains(what), "{fault}: {e}");
     }
     let pcd = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n1 2 3\n";
-    assert!(told("a.pcd", pcd.as_bytes()).is_ok());
+    assert!(read_bytes("a.pcd", pcd.as_bytes()).is_ok());
     for (part, fault, what) in [
         ("SIZE 4 4 4", "SIZE 4 4", "differ in length"),
         ("TYPE F", "TYPE Q", "TYPE"),
@@ -108,10 +109,10 @@ fn what_is_wrong_is_named() {
         ("FIELDS x y z\nSIZE 4 4 4\nTYPE F F F", "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 9999999", "numbers"),
     ] {
         assert!(pcd.contains(part));
-        let e = told("a.pcd", pcd.replace(part, fault).as_bytes()).unwrap_err();
+        let e = read_bytes("a.pcd", pcd.replace(part, fault).as_bytes()).unwrap_err();
         assert!(e.to_string().contains(what), "{fault}: {e}");
     }
-    assert!(told("a.csv", b"1,2,3\n1,2\n").unwrap_err().to_string().contains("line 2"));
-    assert!(told("a.csv", b"a,b,c\n1,2,3\n").unwrap_err().to_string().contains("line 1"));
-    assert_eq!(told("a.xyz", b"1 2 3").unwrap_err().kind(), ErrorKind::Invalid);
+    assert!(read_bytes("a.csv", b"1,2,3\n1,2\n").unwrap_err().to_string().contains("line 2"));
+    assert!(read_bytes("a.csv", b"a,b,c\n1,2,3\n").unwrap_err().to_string().contains("line 1"));
+    assert_eq!(read_bytes("a.xyz", b"1 2 3").unwrap_err().kind(), ErrorKind::Invalid);
 }

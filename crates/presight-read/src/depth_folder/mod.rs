@@ -1,8 +1,10 @@
-//! Folders of images: `camera.json`, 16-bit `depth/*.png`, `grey/*.png` or both, and optionally `poses.txt` and `odometry.txt`.
+//! Folders of images: `camera.json`, 16-bit `depth/*.png`, `grey/*.png` or both, and optionally `poses.txt` and
+//! `odometry.txt`.
 //!
 //! `camera.json` has `width`, `height`, `fx`, `fy`, `cx`, `cy`, and optionally `distortion` (five numbers, plumb bob)
-//! and `depth_unit_m` (default 0.001). A depth of 0 or of 65535 units, the largest, means no measurement. Images are read in the order of their names. A
-//! name that is a number is the time in seconds; otherwise the time is the index of the frame from 0.
+//! and `depth_unit_m` (default 0.001). A depth of 0 or of 65535 units, the largest, means no measurement. Images are
+//! read in the order of their names. A name that is a number is the time in seconds; otherwise the time is the index of
+//! the frame from 0.
 //!
 //! Grey images have 8 or 16 bits; colour images are converted to luminance. A grey image belongs to the depth image of
 //! the same time. If another camera took the grey images, `grey.toml` is its sensor file.
@@ -10,8 +12,9 @@
 //! A line of `poses.txt` is `time tx ty tz qx qy qz qw`; further words are ignored. These poses are world_from_camera
 //! with optical axes, in the frame of the scene's file (y up).
 //!
-//! A line of `odometry.txt` has the same form: the robot's pose in body axes (x ahead, z up) by its odometry, in any frame that
-//! stays. The motion between two images comes from the poses at their times, on a straight line between two entries.
+//! A line of `odometry.txt` has the same form: the robot's pose in body axes (x ahead, z up) by its odometry, in any
+//! frame that stays. The motion between two images comes from the poses at their times, on a straight line between two
+//! entries.
 
 mod png_image;
 

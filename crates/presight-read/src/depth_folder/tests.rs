@@ -38,15 +38,15 @@ fn poses_are_turned_to_body_axes_and_z_up() {
 
 #[test]
 fn what_is_wrong_is_named() {
-    let told = |camera: &str, images: &[(&str, u32, u16)]| {
+    let error_of = |camera: &str, images: &[(&str, u32, u16)]| {
         let folder = folder(camera, images);
         let end = DepthFolder::open(folder.path(), None).and_then(|log| log.collect::<Result<Vec<_>>>().map(|_| ()));
         end.unwrap_err().to_string()
     };
-    assert!(told(CAMERA, &[]).contains("no .png"));
-    assert!(told(CAMERA, &[("0.png", 4, 1)]).contains("4 x 2 pixels"));
-    assert!(told("{\"width\": 3", &[("0.png", 3, 1)]).contains("camera.json"));
-    assert!(told(&CAMERA.replace("0.002", "-1"), &[("0.png", 3, 1)]).contains("depth unit"));
+    assert!(error_of(CAMERA, &[]).contains("no .png"));
+    assert!(error_of(CAMERA, &[("0.png", 4, 1)]).contains("4 x 2 pixels"));
+    assert!(error_of("{\"width\": 3", &[("0.png", 3, 1)]).contains("camera.json"));
+    assert!(error_of(&CAMERA.replace("0.002", "-1"), &[("0.png", 3, 1)]).contains("depth unit"));
     let broken = folder(CAMERA, &[]);
     std::fs::write(broken.path().join("depth/0.png"), b"no image").unwrap();
     let mut log = DepthFolder::open(broken.path(), None).unwrap();

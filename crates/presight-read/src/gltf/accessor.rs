@@ -4,6 +4,7 @@ use super::buffers::Buffers;
 use glam::Vec3;
 use gltf::json;
 use json::accessor::{Accessor, ComponentType, Type};
+use json::mesh::{Primitive, Semantic};
 use json::validation::Checked;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::limits;
@@ -254,6 +255,11 @@ impl<'a> Document<'a> {
         }
         Ok(all)
     }
+}
+
+/// The accessor of a primitive's positions.
+pub(super) fn position_accessor(primitive: &Primitive) -> Option<json::Index<Accessor>> {
+    primitive.attributes.get(&Checked::Valid(Semantic::Positions)).copied()
 }
 
 fn component_of(accessor: &Accessor) -> Result<ComponentType> {

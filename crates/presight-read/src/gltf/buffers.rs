@@ -24,7 +24,7 @@ pub(super) struct Buffers<'a> {
     buffers: Vec<(Source, usize)>,
 }
 
-/// Where the bytes of a buffer are.
+/// Source of the bytes of a buffer.
 #[derive(Clone, Copy)]
 enum Source {
     /// In the binary chunk of a .glb.
@@ -39,7 +39,7 @@ enum Source {
 struct BufferFile {
     real: PathBuf,
     shown: PathBuf,
-    /// Greatest length that a buffer claims, and the first buffer that claims it.
+    /// Maximum length that a buffer claims, and the first buffer that claims it.
     claimed: u64,
     buffer: usize,
 }
@@ -65,7 +65,7 @@ impl<'a> Buffers<'a> {
         }
     }
 
-    /// True if the file does not say where the bytes of buffer `index` are.
+    /// True if the file gives no source for the bytes of buffer `index`.
     pub fn is_nowhere(&self, index: usize) -> bool {
         matches!(self.buffers.get(index), Some((Source::Nowhere, _)))
     }

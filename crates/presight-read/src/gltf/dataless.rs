@@ -1,9 +1,8 @@
 //! Objects whose data are in a buffer without data. Such a file is valid: glTF leaves the meaning of the buffer to
 //! extensions (glTF 2.0, section 3.6.1.2).
 
-use super::accessor::Document;
-use super::mesh::{Shape, position_accessor};
-use super::nodes::SceneNode;
+use super::accessor::{Document, position_accessor};
+use super::nodes::{SceneNode, Shape};
 use super::notices::LeftOut;
 use super::place_of;
 use super::skin::influence_accessors;

@@ -2,7 +2,6 @@
 //! poses of objects and groups.
 
 use super::accessor::Document;
-use super::nodes::SceneNode;
 use super::write::{matrix_of, mesh_hash};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use gltf::json;
@@ -51,7 +50,7 @@ fn polygons_in(mesh: &json::Mesh) -> Option<Polygons> {
 }
 
 impl Document<'_> {
-    /// How many numbers the exact mesh of our own writer has; 0 if it stored none.
+    /// Count of numbers in the exact mesh that presight wrote; 0 if the file has none.
     pub fn exact_numbers(&self, index: usize) -> u64 {
         let mesh = &self.root.meshes[index];
         let Some(polygons) = polygons_in(mesh) else { return 0 };
@@ -128,21 +127,21 @@ impl RootPlacement {
 
 impl PlacedObject {
     /// Returns the object, if the node still has the matrix that was written.
-    pub fn object(&self, node: &SceneNode, path: &str, mesh: Arc<Mesh>) -> Option<NewObject> {
+    pub fn object(&self, scene_from_node: &DAffine3, path: &str, mesh: Arc<Mesh>) -> Option<NewObject> {
         let new = NewObject {
             object_from_mesh: DAffine3::from_cols_array(&self.object_from_mesh),
             first_source: self.first_source,
             ..NewObject::new(path, pose(self.world_from_object), mesh)
         };
-        is_at(node, &(new.world_from_object.to_affine() * new.object_from_mesh)).then_some(new)
+        is_at(scene_from_node, &(new.world_from_object.to_affine() * new.object_from_mesh)).then_some(new)
     }
 }
 
 impl PlacedGroup {
     /// Returns the frame, if the node still has the matrix that was written.
-    pub fn frame(&self, node: &SceneNode) -> Option<Pose> {
+    pub fn frame(&self, scene_from_node: &DAffine3) -> Option<Pose> {
         let frame = pose(self.world_from_group);
-        is_at(node, &frame.to_affine()).then_some(frame)
+        is_at(scene_from_node, &frame.to_affine()).then_some(frame)
     }
 }
 
@@ -151,10 +150,9 @@ fn pose([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Pose {
 }
 
 /// True if a node has exactly the matrix that our writer gives for `world_from_node`.
-fn is_at(node: &SceneNode, world_from_node: &DAffine3) -> bool {
+fn is_at(scene_from_node: &DAffine3, world_from_node: &DAffine3) -> bool {
     let matrix = matrix_of(world_from_node);
     let column = |i: usize| DVec3::new(matrix[i], matrix[i + 1], matrix[i + 2]);
-    let here = &node.scene_from_node;
-    let same = [0, 4, 8].map(column) == [here.matrix3.x_axis, here.matrix3.y_axis, here.matrix3.z_axis];
-    same && column(12) == here.translation
+    let DAffine3 { matrix3, translation } = *scene_from_node;
+    [0, 4, 8, 12].map(column) == [matrix3.x_axis, matrix3.y_axis, matrix3.z_axis, translation]
 }

@@ -75,7 +75,7 @@ impl Document<'_> {
             };
             Ok(DAffine3::from_scale_rotation_translation(scale, rotation, translation))
         };
-        // Without attributes there is one instance, at the node.
+        // A node without attributes has one instance, in its own place.
         Ok((count.unwrap_or(1) as usize, place))
     }
 }

@@ -1,7 +1,5 @@
 //! Counts the memory of an import before it is allocated, because a small file can request any amount.
 
-use super::accessor::Document;
-use super::mesh::{Shape, mesh_words};
 use crate::text::json_memory;
 use presight_model::error::{Error, Result};
 use presight_model::limits;
@@ -13,7 +11,7 @@ const NODE: u64 = 1200;
 const PATHS: u64 = 6;
 /// Bytes for each number of an exact mesh, both while it is read and afterwards.
 const EXACT: u64 = 24;
-/// Greatest number of meshes built at the same time, on any machine.
+/// Maximum number of meshes built at the same time, on any machine.
 const AT_ONCE: usize = 16;
 
 /// The known memory of an import.
@@ -67,14 +65,14 @@ impl Memory {
         self.keep(NODE + PATHS * path as u64, "a node and its path")
     }
 
-    /// Counts meshes by their claimed numbers of triangles.
-    pub(super) fn take_meshes(&mut self, document: &Document<'_>, claims: &[(Shape, u64)]) -> Result<()> {
-        for &(shape, triangles) in claims {
-            let exact = EXACT.saturating_mul(document.exact_numbers(shape.mesh));
-            let bytes = of_kept(triangles).saturating_add(exact);
-            self.keep(bytes, &mesh_words(&document.root, shape.mesh))?;
+    /// Counts meshes by their claimed numbers of triangles, the numbers of their exact meshes and their words.
+    pub(super) fn take_meshes(&mut self, meshes: impl Iterator<Item = (u64, u64, String)>) -> Result<()> {
+        let mut all = Vec::new();
+        for (triangles, exact_numbers, words) in meshes {
+            let bytes = of_kept(triangles).saturating_add(EXACT.saturating_mul(exact_numbers));
+            self.keep(bytes, &words)?;
+            all.push(triangles);
         }
-        let triangles = claims.iter().map(|&(_, triangles)| triangles).collect();
-        self.take(of_building(triangles, AT_ONCE), "making its polygons")
+        self.take(of_building(all, AT_ONCE), "making its polygons")
     }
 }

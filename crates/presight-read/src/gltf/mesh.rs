@@ -1,24 +1,18 @@
 //! The triangles of a glTF mesh: all its primitives, in any topology, with equal positions welded.
 
-use super::accessor::{AccessorCounts, Document, Values};
+use super::accessor::{AccessorCounts, Document, Values, position_accessor};
+use super::nodes::Shape;
 use super::quoted;
 use super::skin::{Posed, RestPose, influence_accessors};
 use crate::preparation::{ProblemKind, TriangleMesh, Welder};
 use glam::Vec3;
 use gltf::json;
 use json::accessor::Type;
-use json::mesh::{Mode, Primitive, Semantic};
+use json::mesh::{Mode, Primitive};
 use json::validation::Checked;
 use presight_model::error::{Error, Result};
 
 const REPAIR: &str = "repair the model or export it again";
-
-/// A mesh of the file, and the skin that poses it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) struct Shape {
-    pub mesh: usize,
-    pub skin: Option<usize>,
-}
 
 /// The triangles of a mesh, and problems that are not about single triangles.
 pub(super) struct MeshTriangles {
@@ -33,10 +27,6 @@ fn triangle_count(mode: Mode, corners: u64) -> Option<u64> {
         Mode::TriangleStrip | Mode::TriangleFan => Some(corners.saturating_sub(2)),
         Mode::Points | Mode::Lines | Mode::LineLoop | Mode::LineStrip => None,
     }
-}
-
-pub(super) fn position_accessor(primitive: &Primitive) -> Option<json::Index<json::Accessor>> {
-    primitive.attributes.get(&Checked::Valid(Semantic::Positions)).copied()
 }
 
 fn mode_of(primitive: &Primitive) -> Result<Mode> {
@@ -76,8 +66,8 @@ impl Document<'_> {
         Ok(sum)
     }
 
-    /// Reads a mesh, whose index must be valid, in its own frame or in that of `pose`. Primitives without a material get
-    /// `default_material`.
+    /// Reads a mesh, whose index must be valid, in its own frame or in that of `pose`. Primitives without a material
+    /// get `default_material`.
     pub fn read_mesh(&self, mesh: usize, pose: Option<&RestPose>, default_material: u16) -> Result<MeshTriangles> {
         let mut read = MeshTriangles { triangles: TriangleMesh::default(), notes: Vec::new() };
         let mut welder = Welder::default();
@@ -127,24 +117,15 @@ impl Document<'_> {
         if primitive.targets.as_ref().is_some_and(|t| !t.is_empty()) {
             notes.push((ProblemKind::IgnoredFeature, "morph targets: the base shape is used".into()));
         }
-        let leftover = if mode == Mode::Triangles {
-            corners % 3
-        } else if corners < 3 {
-            corners
-        } else {
-            0
+        let leftover = match mode {
+            Mode::Triangles => corners % 3,
+            _ if corners < 3 => corners,
+            _ => 0,
         };
         if leftover > 0 {
             notes.push((ProblemKind::LeftoverIndices, format!("{leftover} of {corners} indices")));
         }
-        let material = match primitive.material {
-            None => default_material,
-            Some(m) if m.value() < self.root.materials.len() => m.value() as u16,
-            Some(m) => {
-                let what = format!("material {} does not exist, there are {}", m.value(), self.root.materials.len());
-                return Err(Error::invalid(what, REPAIR));
-            }
-        };
+        let material = self.material_of(primitive)?.unwrap_or(default_material);
         positions.prepare(corners);
         let mut corner = Corners { shared: positions, indices: indices.as_deref(), welder };
         let mesh = &mut read.triangles;
@@ -161,6 +142,16 @@ impl Document<'_> {
             mesh.push(triangle, material);
         }
         Ok(notes)
+    }
+
+    fn material_of(&self, primitive: &Primitive) -> Result<Option<u16>> {
+        let count = self.root.materials.len();
+        match primitive.material.map(|m| m.value()) {
+            Some(material) if material >= count => {
+                Err(Error::invalid(format!("material {material} does not exist, there are {count}"), REPAIR))
+            }
+            material => Ok(material.map(|m| m as u16)),
+        }
     }
 }
 

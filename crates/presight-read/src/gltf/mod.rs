@@ -1,16 +1,17 @@
 //! Imports glTF 2.0 scenes, .glb and .gltf, into an [`Environment`].
 //!
-//! The `gltf` crate parses the properties that presight uses, but reads node transforms as f32 and does not check sizes.
-//! So node transforms are read again as f64, and accessors are read here with every size checked first. Positions keep the
-//! file's f32 bits in the mesh's own frame. The object's f64 matrix is the product of `world_from_scene` from the
-//! sidecar, the rotation from y-up to z-up, and the node matrices. A node that is not an object but has objects below
-//! becomes a group; its frame is the rigid part of that product.
+//! The `gltf` crate parses the properties that presight uses, but reads node transforms as f32 and does not check
+//! sizes. So node transforms are read again as f64, and accessors are read here with every size checked first.
+//! Positions keep the file's f32 bits in the mesh's own frame. The object's f64 matrix is the product of
+//! `world_from_scene` from the sidecar, the rotation from y-up to z-up, and the node matrices. A node that is not an
+//! object but has objects below becomes a group; its frame is the rigid part of that product.
 
 mod accessor;
 mod buffers;
 mod container;
 mod dataless;
 mod exact;
+mod extensions;
 mod instances;
 mod memory;
 mod mesh;
@@ -35,8 +36,8 @@ use accessor::{AccessorCounts, Document};
 use buffers::Buffers;
 use gltf::json;
 pub(crate) use memory::Memory;
-use mesh::{Shape, mesh_words};
-use nodes::{NodeText, SceneNode};
+use mesh::mesh_words;
+use nodes::{NodeText, SceneNode, Shape};
 use notices::{Described, FileExtensions};
 use objects::Placement;
 use presight_model::environment::{Environment, Material, Mesh, PolygonOrder};
@@ -55,7 +56,7 @@ pub struct ImportOptions {
     /// Merge coplanar neighbours into convex polygons. Without merging, every triangle stays a polygon, in source
     /// order, as `source` ids require.
     pub merge: bool,
-    /// Greatest distance of a vertex from its merged polygon's plane, relative to the size of its mesh.
+    /// Maximum distance of a vertex from its merged polygon's plane, relative to the size of its mesh.
     pub merge_tolerance: f64,
     /// The axis of the file that points up; `None`: from the sidecar, else y.
     pub up: Option<Up>,
@@ -218,7 +219,10 @@ fn import_from(
     let skins = skin::pose(&document, &nodes, &mut scene.nodes, &mut book)?;
     scene.nodes = instances::expanded(&document, scene.nodes, memory)?;
     let claims = claims_of(&document, &scene.nodes)?;
-    memory.take_meshes(&document, &claims)?;
+    let meshes = claims.iter().map(|&(Shape { mesh, .. }, triangles)| {
+        (triangles, document.exact_numbers(mesh), mesh_words(&document.root, mesh))
+    });
+    memory.take_meshes(meshes)?;
     let mut environment = Environment::new();
     let default_material = add_materials(&document.root, sidecar, origin.scene, &mut environment)?;
     let (root, materials) = (&document.root, environment.materials().to_vec());
@@ -279,7 +283,7 @@ fn check_version(root: &json::Root) -> Result<()> {
         return Err(Error::new(ErrorKind::Unsupported, what, "export it as glTF 2.0").at("asset"));
     }
     for extension in &root.extensions_required {
-        if !notices::is_known(extension) {
+        if !extensions::is_known(extension) {
             return Err(Error::new(
                 ErrorKind::Unsupported,
                 format!("the file requires the extension {extension:?}"),

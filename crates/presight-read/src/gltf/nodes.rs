@@ -1,9 +1,8 @@
 //! The node hierarchy, read and composed in f64. In f32, UTM coordinates would lose precision.
 
 use super::exact::RootPlacement;
+use super::extensions::is_known;
 use super::memory::Memory;
-use super::mesh::Shape;
-use super::notices::is_known;
 use super::quoted;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use presight_model::error::{Error, Result};
@@ -107,13 +106,20 @@ pub(super) struct SceneNode {
     pub placed: Option<RootPlacement>,
 }
 
+/// A mesh of the file, and the skin that poses it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) struct Shape {
+    pub mesh: usize,
+    pub skin: Option<usize>,
+}
+
 impl SceneNode {
     /// Its mesh, and the skin that poses it.
     pub fn shape(&self) -> Option<Shape> {
         Some(Shape { mesh: self.mesh?, skin: self.skin })
     }
 
-    /// The same node without our own writer's data.
+    /// Copy of the node without the data of presight's own writer.
     pub fn copied(&self) -> Self {
         let Self { node, parent, mesh, scene_from_node, skin, instances, .. } = *self;
         let (name, path) = (self.name.clone(), self.path.clone());

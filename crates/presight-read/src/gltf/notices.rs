@@ -1,6 +1,7 @@
 //! One line for everything in a file that presight does not follow or leaves out although it shapes the scene, with the
 //! number of objects.
 
+use super::extensions::{INSTANCING, RTC, VISIBILITY, is_known};
 use super::nodes::{SceneNode, SceneNodes};
 use super::quoted;
 use crate::materials::sidecar_path;
@@ -16,33 +17,6 @@ use std::path::Path;
 
 /// Names in a line; further ones are counted.
 const LISTED: usize = 5;
-
-/// Extensions that change the appearance of a surface or describe it, but not its shape; and motions, which do not
-/// change the scene at rest.
-const HARMLESS: [&str; 13] = [
-    "KHR_materials_",
-    "ADOBE_materials_",
-    "KHR_texture_",
-    "EXT_texture_",
-    "MSFT_texture_",
-    "KHR_lights_punctual",
-    "EXT_lights_",
-    "KHR_xmp",
-    "KHR_mesh_quantization",
-    "KHR_animation_pointer",
-    "EXT_structural_metadata",
-    "EXT_mesh_features",
-    "EXT_instance_features",
-];
-
-const INSTANCING: &str = "EXT_mesh_gpu_instancing";
-const VISIBILITY: &str = "KHR_node_visibility";
-const RTC: &str = "CESIUM_RTC";
-
-/// True for an extension that presight follows, or whose data do not change the shape of the scene at rest.
-pub(super) fn is_known(extension: &str) -> bool {
-    [INSTANCING, VISIBILITY].contains(&extension) || HARMLESS.iter().any(|known| extension.starts_with(known))
-}
 
 /// The extensions of a file that the crate `gltf` does not read.
 #[derive(Deserialize)]
@@ -225,7 +199,7 @@ impl Described<'_> {
     }
 }
 
-/// A skin ignores the transform of its node, and so the instances, too.
+/// A skin ignores the transform of its node, and with it the instances.
 fn is_skinned_instance(node: &SceneNode) -> bool {
     node.instances.is_some() && node.skin.is_some() && node.mesh.is_some()
 }

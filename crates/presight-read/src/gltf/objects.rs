@@ -1,8 +1,7 @@
 //! The objects and groups of a scene: meshes at the places of their nodes.
 
 use super::exact::RootPlacement;
-use super::mesh::Shape;
-use super::nodes::SceneNode;
+use super::nodes::{SceneNode, Shape};
 use super::notices::{LeftOut, kilometres};
 use super::{BuiltMesh, paths, place_of};
 use crate::preparation::{ImportReport, ProblemBook, ProblemKind, SceneFrame};
@@ -116,7 +115,7 @@ impl Placement {
         if self.environment.slot_count() > 0 {
             return Ok(());
         }
-        let why = self.book.first(ProblemKind::EmptyMesh).map(|place| format!("; nothing is left of {place}"));
+        let why = self.book.first(ProblemKind::EmptyMesh).map(|place| format!("; left out: {place}"));
         let why = why.unwrap_or_default();
         let remedy = "export meshes of triangles into the default scene of a .glb, which holds its buffers";
         Err(Error::invalid(format!("the scene has no polygons{why}"), remedy))
@@ -193,7 +192,7 @@ fn object(
     (world_from_mesh, exact): (&DAffine3, bool),
 ) -> Result<NewObject> {
     let written = match &node.placed {
-        Some(RootPlacement::Object(placed)) if exact => placed.object(node, path, built.mesh.clone()),
+        Some(RootPlacement::Object(placed)) if exact => placed.object(&node.scene_from_node, path, built.mesh.clone()),
         _ => None,
     };
     Ok(match written {
@@ -218,7 +217,7 @@ fn insert(environment: &mut Environment, new: NewObject) -> Result<()> {
 /// The frame of a node's group.
 fn frame_of_group(node: &SceneNode, world_from_gltf: &DAffine3, exact: bool) -> Pose {
     let written = match &node.placed {
-        Some(RootPlacement::Group(group)) if exact => group.frame(node),
+        Some(RootPlacement::Group(group)) if exact => group.frame(&node.scene_from_node),
         _ => None,
     };
     written.unwrap_or_else(|| Pose::rigid_part(&(*world_from_gltf * node.scene_from_node)))

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 use std::fmt;
 
-/// Greatest whole number up to which all whole numbers are floating-point numbers.
+/// Maximum whole number up to which f64 represents every whole number.
 const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
 
 /// Returns the JSON text of the properties that presight uses.
@@ -281,8 +281,8 @@ mod tests {
         let expected =
             r#"{"asset":{"version":"2.0"},"extensions":{"ABC":null},"scene":0,"scenes":[{"nodes":[]},{"nodes":[1,2]}],"#
                 .to_owned()
-                + r#""buffers":[{"byteLength":4}],"nodes":[{"extras":[1.50, {"a": 1, "a": 2}],"translation":[1,2.5,-3]}],"#
-                + r#""meshes":[{"primitives":[{"attributes":{"POSITION":3},"mode":4}]}]}"#;
+                + r#""buffers":[{"byteLength":4}],"nodes":[{"extras":[1.50, {"a": 1, "a": 2}],"#
+                + r#""translation":[1,2.5,-3]}],"meshes":[{"primitives":[{"attributes":{"POSITION":3},"mode":4}]}]}"#;
         assert_eq!(found, expected);
     }
 

@@ -1,7 +1,6 @@
 //! Skins at rest: joints, not the mesh's own node, place the vertices of a skinned mesh (glTF 2.0, section 3.7.3).
 
-use super::accessor::{AccessorCounts, Document, Values};
-use super::mesh::position_accessor;
+use super::accessor::{AccessorCounts, Document, Values, position_accessor};
 use super::nodes::{NodeText, SceneNode};
 use super::notices::objects;
 use super::place_of;
@@ -96,7 +95,7 @@ pub(super) fn pose(
 }
 
 impl Document<'_> {
-    /// True if all primitives of a mesh that have positions have joints and weights, too.
+    /// True if all primitives of a mesh that have positions also have joints and weights.
     pub fn has_influences(&self, mesh: usize) -> bool {
         let Some(mesh) = self.root.meshes.get(mesh) else { return false };
         let mut placed = mesh.primitives.iter().filter(|p| position_accessor(p).is_some()).peekable();

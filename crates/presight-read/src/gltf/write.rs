@@ -3,8 +3,8 @@
 //! Objects are root nodes named by their full paths. Groups with a frame of their own are root nodes without a mesh.
 //! Meshes are triangles by material. `extras.presight` holds the data that glTF cannot express:
 //!
-//! - meshes: convex polygons (`rows`: an accessor with three u32 for each, number of corners, material and source triangle;
-//!   `corners`: an accessor with all corners; `order`; `blake3` of positions, rows and corners);
+//! - meshes: convex polygons (`rows`: an accessor with three u32 for each, number of corners, material and source
+//!   triangle; `corners`: an accessor with all corners; `order`; `blake3` of positions, rows and corners);
 //! - nodes: the pose without the scale (`world_from_object`, `world_from_group`);
 //! - materials: reflection factor, sides and classes.
 //!
@@ -99,27 +99,22 @@ pub(super) fn mesh_hash(vertices: &[glam::Vec3], rows: &[u32], corners: &[u32]) 
     hasher.finalize().to_hex().to_string()
 }
 
-fn numbers(pose: &Pose) -> Vec<f64> {
-    pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect()
-}
-
 /// A group as a node without children. The names of its objects show that they belong to it.
 fn group(path: &str, world_from_group: &Pose) -> Value {
     json!({
         "name": path,
         "matrix": matrix_of(&world_from_group.to_affine()),
-        "extras": {"presight": {"world_from_group": numbers(world_from_group)}},
+        "extras": {"presight": {"world_from_group": world_from_group.to_array()}},
     })
 }
 
 fn node(object: &Object, mesh: usize) -> Value {
-    let pose = numbers(&object.world_from_object);
     json!({
         "name": object.name,
         "mesh": mesh,
         "matrix": matrix_of(&object.world_from_mesh()),
         "extras": {"presight": {
-            "world_from_object": pose,
+            "world_from_object": object.world_from_object.to_array(),
             "object_from_mesh": object.object_from_mesh.to_cols_array(),
             "first_source": object.first_source,
         }},

@@ -25,7 +25,8 @@ pub(super) struct LayerFields<'a> {
     pub features: Vec<&'a RawValue>,
 }
 
-/// A feature of any kind, or the removal of one, as the keys of a layer file. Its checks: [`from_fields`](super::from_fields).
+/// A feature of any kind, or the removal of one, as the keys of a layer file. Its checks:
+/// [`from_fields`](super::from_fields).
 #[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct FeatureFields {

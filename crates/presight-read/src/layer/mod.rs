@@ -21,21 +21,23 @@
 //! }
 //! ```
 //!
-//! | key of a feature | meaning |
-//! |---|---|
-//! | `id` | stable number from 1, never reused |
-//! | `kind` | `point`, `segment`, `patch`, `reflector`, `fiducial`, and in format 2 `contour` |
-//! | `object` | path of the object whose frame it uses and with which it moves; absent: the world |
-//! | `anchor`, `crease_deg` | contours, in place of `points`: a point on the surface, metres, and the greatest angle between adjacent facets, degrees |
-//! | `points` | metres: 1 for points and reflectors; 2 ends of a segment; 3 or more corners of a convex patch; 4 corners of a fiducial, clockwise from the top left when seen from the front |
-//! | `sigma` | standard deviation of each point, metres: one for all axes, or three |
-//! | `covariance` | in place of `sigma`: covariance of each point, 9 numbers, row-major |
-//! | `covariances` | segments: one covariance for each end |
-//! | `cross_covariance` | segments: covariance of the first end with the second |
-//! | `existence`, `confirmed`, `rate` | p(t) = existence exp(-rate (t - confirmed)); 1, 0 and 0 if absent; UTC seconds |
-//! | `properties` | `strength`, `contrast` (0 to 1), `normal` (unit vector of the surface), `family` and `code` of a fiducial: OpenCV's name of the dictionary, and the marker's number in it |
-//! | `surface` | `lost`: the surface has since been moved or deleted. Such a feature is kept; if it is off its polygons, this is not an error, but predictions omit it. Stores export it |
-//! | `remove` | `true`: drops the feature with this id of layers read before; other keys must be absent |
+//! - `id`: stable number from 1, never reused
+//! - `kind`: `point`, `segment`, `patch`, `reflector`, `fiducial`, and in format 2 `contour`
+//! - `object`: path of the object whose frame it uses and with which it moves; absent: the world
+//! - `anchor`, `crease_deg`: contours, in place of `points`: a point on the surface, metres, and the greatest angle
+//!   between adjacent facets, degrees
+//! - `points`: metres: 1 for points and reflectors; 2 ends of a segment; 3 or more corners of a convex patch; 4 corners
+//!   of a fiducial, clockwise from the top left when seen from the front
+//! - `sigma`: standard deviation of each point, metres: one for all axes, or three
+//! - `covariance`: in place of `sigma`: covariance of each point, 9 numbers, row-major
+//! - `covariances`: segments: one covariance for each end
+//! - `cross_covariance`: segments: covariance of the first end with the second
+//! - `existence`, `confirmed`, `rate`: p(t) = existence exp(-rate (t - confirmed)); 1, 0 and 0 if absent; UTC seconds
+//! - `properties`: `strength`, `contrast` (0 to 1), `normal` (unit vector of the surface), `family` and `code` of a
+//!   fiducial: OpenCV's name of the dictionary, and the marker's number in it
+//! - `surface`: `lost`: the surface has since been moved or deleted. Such a feature is kept; if it is off its polygons,
+//!   this is not an error, but predictions omit it. Stores export it
+//! - `remove`: `true`: drops the feature with this id of layers read before; other keys must be absent
 //!
 //! Absent covariances are zero. `tolerance` (metres, default 0.001) is the greatest distance of a feature in this file
 //! from the polygons it lies on; they are found by geometry when the layer is used (`presight_features::place`).

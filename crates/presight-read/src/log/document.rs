@@ -1,18 +1,18 @@
 //! Planar laser scans in the form of public data sets: one JSON object with a list `scans`.
 //!
 //! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_min` (default 0),
-//! `range_max`, `range_std`, `turn_s` (seconds of a scan, see [`SensorSpec::turn_s`]; default 0), `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`,
-//! `step_deg`, `height_m`, `range_max`. Keys of a scan: `ranges` (metres, and the other readings of [`super::lines`]), and
-//! optionally `valid` (a digit for each beam, 1 for a reading), `t` (seconds; default: the index of the scan),
-//! `odometry_increment` [x, y, yaw] and the robot's pose {x, y, yaw} under `robot_pose`, `reference_pose` or
-//! `pose_in_model`. Other keys are ignored.
+//! `range_max`, `range_std`, `turn_s` (seconds of a scan, see [`SensorSpec::turn_s`]; default 0), `sensor_on_robot` {x,
+//! y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`, `range_max`. Keys of a scan:
+//! `ranges` (metres, and the other readings of [`super::lines`]), and optionally `valid` (a digit for each beam, 1 for
+//! a reading), `t` (seconds; default: the index of the scan), `odometry_increment` [x, y, yaw] and the robot's pose {x,
+//! y, yaw} under `robot_pose`, `reference_pose` or `pose_in_model`. Other keys are ignored.
 
 use super::readings::{Reading, with_quoted_words};
 use super::{Log, LogFrame, check_time};
 use crate::text::check_json_memory;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::limits;
 use presight_model::sensor::{Angles, Geometry, Noise, SAME_ANGLE, Scanner, Sensor, SensorSpec};
 use serde::Deserialize;
@@ -106,7 +106,7 @@ impl Document {
             range: scan.ranges.iter().zip(&valid).map(reading).collect(),
             intensities: None,
             odometry: scan.odometry_increment.map(|[x, y, yaw]| planar(x, y, yaw)),
-            reference: scan.reference.map(|p| planar(p.x, p.y, p.yaw)),
+            reference: scan.reference.map(|p| RobotPose::new(planar(p.x, p.y, p.yaw))),
         };
         frame.check(self.sensor.spec())?;
         check_time(self.time, frame.time)?;
@@ -195,8 +195,8 @@ mod tests {
 
     fn text(angle_max: &str) -> String {
         format!(
-            r#"{{"beams":3,"angle_min":-1.5,"angle_max":{angle_max},"range_max":8,"sensor_on_robot":{{"x":0,"y":0,"z":1,"yaw":0}},
-            "scans":[{{"ranges":[2.5,null,3.5],"valid":"110"}}]}}"#
+            r#"{{"beams":3,"angle_min":-1.5,"angle_max":{angle_max},"range_max":8,
+            "sensor_on_robot":{{"x":0,"y":0,"z":1,"yaw":0}},"scans":[{{"ranges":[2.5,null,3.5],"valid":"110"}}]}}"#
         )
     }
 

@@ -4,7 +4,7 @@ use super::readings::Readings;
 use super::scans::{self, Scans};
 use crate::depth_folder::{DepthFolder, pose_at};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose, SensorPose};
 use presight_model::measured::{Frame, Motion, OdometryNoise};
 use presight_model::sensor::Sensor;
 use std::path::Path;
@@ -14,8 +14,8 @@ use std::path::Path;
 pub struct Observation {
     /// The measured frame.
     pub frame: Frame,
-    /// world_from_robot, if the log has it. Estimates must not use it.
-    pub reference: Option<Pose>,
+    /// The robot's pose, if the log has it. Estimates must not use it.
+    pub reference: Option<RobotPose>,
 }
 
 /// The frames of a log, in the order of time. The first error ends them.
@@ -74,11 +74,10 @@ impl Frames {
     fn of_folder(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise) -> Result<Self> {
         let log = DepthFolder::open(path, sensor)?;
         let sensor = log.sensor().clone();
-        let robot_from_sensor = sensor.spec().mount.inverse();
-        let known = log.reference().to_vec();
+        let (known, camera) = (log.reference().to_vec(), sensor.clone());
         let at = move |stamp: f64| {
             let there = known.iter().find(|s| (s.time - stamp).abs() < 1e-6)?;
-            Some(there.pose * robot_from_sensor)
+            Some(SensorPose::new(there.pose).robot(&camera))
         };
         let odometry = log.odometry().to_vec();
         let mut before = None;

@@ -2,14 +2,15 @@
 //!
 //! ```text
 //! {"format": 1, "kind": "range-log", "sensor": "format = 1\nkind = \"scanner\"\n.."}
-//! {"t": 12.5, "range": [2.47, null, "inf"], "odometry": [0.2, 0, 0, 0, 0, 8.1], "reference": [3.4, -10.2, 0, 0, 0, 1, 0]}
+//! {"t": 12.5, "range": [2.47, null, "inf"], "odometry": [0.2, 0, 0, 0, 0, 8.1], "reference": [3, -1, 0, 0, 0, 1, 0]}
 //! ```
 //!
 //! - `sensor`: the text of a sensor file ([`crate::sensor_toml`]) with its mount and limits.
 //! - `t`: seconds, rising.
-//! - `range`: metres, one for each ray, row by row; `null` for no reading, `"inf"` if nothing was detected, `"-inf"` for
-//!   an object nearer than `range_min`. `NaN`, `Infinity` and the like are read with and without quotes.
-//! - `intensities`, optional: strength of each ray's echo, from 0 to 1 (as bright as a retroreflector); `null` for none.
+//! - `range`: metres, one for each ray, row by row; `null` for no reading, `"inf"` for no detection, `"-inf"`
+//!   for an object nearer than `range_min`. `NaN`, `Infinity` and the like are read with and without quotes.
+//! - `intensities`, optional: strength of each ray's echo, from 0 to 1 (as bright as a retroreflector); `null` for
+//!   none.
 //! - `odometry`, optional: the robot's motion since the previous frame, previous_robot_from_robot, as
 //!   `[x, y, z, roll_deg, pitch_deg, yaw_deg]` or `[x, y, z, qx, qy, qz, qw]`.
 //! - `reference`, optional: world_from_robot, in the same form.
@@ -18,9 +19,8 @@ use super::readings::{Reading, with_quoted_words};
 use super::{Log, LogFrame, check_time};
 use crate::sensor_toml;
 use crate::text::read_line;
-use glam::{DQuat, DVec3};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::sensor::{Sensor, SensorSpec};
 use serde::de::IgnoredAny;
 use std::fs::File;
@@ -71,20 +71,19 @@ pub fn header(sensor: &SensorSpec) -> String {
 /// The line of a frame, without the line break. It reads back bit for bit.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the time is not finite, an intensity is infinite or a pose is invalid: the line could
-/// not be read back.
+/// [`crate::ErrorKind::Invalid`] if the time is not finite, an intensity is infinite or a pose is invalid: the line
+/// could not be read back.
 pub fn line(frame: &LogFrame) -> Result<String> {
     check_numbers(frame)?;
-    let pose = |p: &Pose| [p.translation.to_array().as_slice(), p.rotation.to_array().as_slice()].concat();
     let range: Vec<String> = frame.range.iter().map(|r| reading(*r)).collect();
     let mut text = format!("{{\"t\":{:?},\"range\":[{}]", frame.time, range.join(","));
     if let Some(intensities) = &frame.intensities {
         let values: Vec<String> = intensities.iter().map(|v| reading(*v)).collect();
         text += &format!(",\"intensities\":[{}]", values.join(","));
     }
-    for (name, p) in [("odometry", &frame.odometry), ("reference", &frame.reference)] {
+    for (name, p) in [("odometry", frame.odometry), ("reference", frame.reference_pose())] {
         if let Some(p) = p {
-            text += &format!(",\"{name}\":{:?}", pose(p));
+            text += &format!(",\"{name}\":{:?}", p.to_array());
         }
     }
     Ok(text + "}")
@@ -99,7 +98,7 @@ fn check_numbers(frame: &LogFrame) -> Result<()> {
     if frame.intensities.iter().flatten().any(|v| v.is_infinite()) {
         return Err(place(Error::invalid("an intensity is infinite", "give intensities from 0 to 1")));
     }
-    [&frame.odometry, &frame.reference]
+    [frame.odometry, frame.reference_pose()]
         .into_iter()
         .flatten()
         .try_for_each(|p| p.check_as(ErrorKind::Invalid))
@@ -139,13 +138,17 @@ impl Lines {
                 true => Error::invalid("the line is cut in the middle", "delete it, or record the log again"),
                 false => Error::invalid(format!("not a valid frame: {e}"), REMEDY),
             })?;
-        let pose = |numbers: Option<Vec<f64>>, name| numbers.map(|n| pose(&n).map_err(|e| e.at(name))).transpose();
+        let remedy = "give x, y, z, roll_deg, pitch_deg, yaw_deg or x, y, z, qx, qy, qz, qw";
+        let wrong = |name| Error::invalid("not a valid pose", remedy).at(name);
+        let pose = |numbers: Option<Vec<f64>>, name: &'static str| {
+            numbers.map(|n| Pose::of_numbers(&n).map_err(|_| wrong(name))).transpose()
+        };
         let frame = LogFrame {
             time: t,
             range: range.into_iter().map(|r| r.0).collect(),
             intensities: intensities.map(|all| all.into_iter().map(|i| i.0).collect()),
             odometry: pose(odometry, "odometry")?,
-            reference: pose(reference, "reference")?,
+            reference: pose(reference, "reference")?.map(RobotPose::new),
         };
         frame.check(self.sensor.spec())?;
         check_time(self.time, frame.time)?;
@@ -205,27 +208,4 @@ struct Entry {
     intensities: Option<Vec<Reading>>,
     odometry: Option<Vec<f64>>,
     reference: Option<Vec<f64>>,
-}
-
-fn pose(numbers: &[f64]) -> Result<Pose> {
-    let wrong = || {
-        let remedy = "give x, y, z, roll_deg, pitch_deg, yaw_deg or x, y, z, qx, qy, qz, qw";
-        Error::invalid("not a valid pose", remedy)
-    };
-    let pose = match *numbers {
-        [x, y, z, roll, pitch, yaw] if numbers.iter().all(|n| n.is_finite()) => {
-            Pose::from_xyz_rpy(DVec3::new(x, y, z), roll.to_radians(), pitch.to_radians(), yaw.to_radians())
-        }
-        [x, y, z, qx, qy, qz, qw] => {
-            let given = Pose { translation: DVec3::new(x, y, z), rotation: DQuat::from_xyzw(qx, qy, qz, qw) };
-            // A unit quaternion is not normalized, so that it keeps its bits.
-            if given.check().is_ok() {
-                given
-            } else {
-                Pose::new(given.translation, given.rotation).map_err(|_| wrong())?
-            }
-        }
-        _ => return Err(wrong()),
-    };
-    pose.check().map_err(|_| wrong()).map(|()| pose)
 }

@@ -2,8 +2,8 @@
 //!
 //! [`open`] opens a log of ranges and returns its frames one at a time:
 //!
-//! - **Format 1**, our own ([`lines`]): a header and then one JSON object per line. It is read line by line, so a log can
-//!   be larger than memory.
+//! - **Format 1**, our own ([`lines`]): a header and then one JSON object per line. It is read line by line, so a log
+//!   can be larger than memory.
 //! - **Documents** ([`document`]): one JSON object whose `scans` list planar laser scans, as in public data sets. It is
 //!   held in memory.
 //!
@@ -23,7 +23,7 @@ pub use readings::Readings;
 use super::file;
 use super::text::read_line;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::limits;
 use presight_model::measured::{GreyImage, Measurement, Motion, OdometryNoise, check_intensities};
 use presight_model::sensor::{Sensor, SensorSpec};
@@ -35,7 +35,7 @@ use std::path::Path;
 pub struct LogFrame {
     /// Seconds, rising within a log.
     pub time: f64,
-    /// Metres along each ray, row-major, after REP-117: `+inf` if nothing was detected, `-inf` for an object nearer
+    /// Metres along each ray, row-major, after REP-117: `+inf` for no detection, `-inf` for an object nearer
     /// than `range_min`, NaN for no reading. As in the log: 0, or a finite value outside of the sensor's limits, is no
     /// measurement either.
     pub range: Vec<f32>,
@@ -43,8 +43,8 @@ pub struct LogFrame {
     pub intensities: Option<Vec<f32>>,
     /// The robot's motion since the previous frame, by its odometry: previous_robot_from_robot.
     pub odometry: Option<Pose>,
-    /// A reference for the robot's pose, world_from_robot. Estimates must not use it.
-    pub reference: Option<Pose>,
+    /// A reference for the robot's pose. Estimates must not use it.
+    pub reference: Option<RobotPose>,
 }
 
 impl LogFrame {
@@ -60,6 +60,11 @@ impl LogFrame {
         }
         frame.motion = self.odometry.map(|motion| Motion::of_odometry(motion, noise));
         Ok(frame)
+    }
+
+    /// The transform of the reference.
+    fn reference_pose(&self) -> Option<Pose> {
+        self.reference.map(|robot| robot.world_from_robot())
     }
 
     /// Checks the size of the frame, that time and poses are finite, and that intensities are from 0 to 1.
@@ -83,7 +88,7 @@ impl LogFrame {
             }
             check_intensities(intensities)?;
         }
-        let poses = [("odometry", self.odometry), ("reference", self.reference)];
+        let poses = [("odometry", self.odometry), ("reference", self.reference_pose())];
         for (name, pose) in poses {
             pose.map_or(Ok(()), |p| p.check_as(presight_model::error::ErrorKind::Invalid)).map_err(|e| e.at(name))?;
         }

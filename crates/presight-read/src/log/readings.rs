@@ -85,10 +85,10 @@ fn word_length(text: &str) -> usize {
     1 + text.bytes().skip(1).take_while(u8::is_ascii_alphabetic).count()
 }
 
-/// How many readings of a log were taken as what.
+/// Numbers of readings of a log by their interpretation.
 #[derive(Clone, Debug)]
 pub struct Readings {
-    /// How the log writes that there is no reading.
+    /// The log's notation for a missing reading.
     missing_as: &'static str,
     limits: (f64, f64),
     all: u64,
@@ -197,8 +197,8 @@ mod tests {
         readings.add(&frame([1.0, 16.0, 0.5, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]));
         assert_eq!(readings.notice(), None);
         readings.add(&frame([1.0, f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NAN, 0.0, 65.5, 0.4, -1.0]));
-        let told = "of 18 readings, presight takes 5 as no measurement (1 x null or NaN, 1 x 0, 3 x outside of 0.5..16 m), \
-                    2 as nothing within reach (inf), 1 as too near (-inf)";
-        assert_eq!(readings.notice().unwrap(), told);
+        let expected = "of 18 readings, presight takes 5 as no measurement (1 x null or NaN, 1 x 0, 3 x outside of \
+                        0.5..16 m), 2 as nothing within reach (inf), 1 as too near (-inf)";
+        assert_eq!(readings.notice().unwrap(), expected);
     }
 }

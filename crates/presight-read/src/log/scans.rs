@@ -21,7 +21,7 @@ use crate::text::{check_json_memory, from_text};
 use crate::{cloud, exr, sensor_toml};
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::measured::{Frame, Measurement, RangeGrid, range_grid};
 use presight_model::sensor::{Geometry, Sensor, SensorSpec};
 use std::collections::HashMap;
@@ -32,7 +32,7 @@ use std::path::{Path, PathBuf};
 pub struct Scans {
     files: std::vec::IntoIter<(f64, PathBuf)>,
     sensor: Option<Sensor>,
-    poses: HashMap<String, Pose>,
+    poses: HashMap<String, SensorPose>,
     time: Option<f64>,
 }
 
@@ -62,16 +62,15 @@ impl Scans {
     fn read(&mut self, time: f64, path: &Path) -> Result<Observation> {
         check_time(self.time, time)?;
         self.time = Some(time);
-        let (frame, told) = match cloud::ending(path).as_str() {
+        let (frame, in_file) = match cloud::ending(path).as_str() {
             "exr" => self.of_image(time, path)?,
             _ => self.of_points(time, path)?,
         };
-        let known = self.poses.get(&stem(path)).copied().or(told);
-        let robot_from_sensor = frame.sensor().spec().mount;
-        Ok(Observation { reference: known.map(|pose| pose * robot_from_sensor.inverse()), frame })
+        let known = self.poses.get(&stem(path)).copied().or(in_file);
+        Ok(Observation { reference: known.map(|pose| pose.robot(frame.sensor())), frame })
     }
 
-    fn of_points(&self, time: f64, path: &Path) -> Result<(Frame, Option<Pose>)> {
+    fn of_points(&self, time: f64, path: &Path) -> Result<(Frame, Option<SensorPose>)> {
         let cloud = cloud::read(path)?;
         let RangeGrid { table, ranges } = range_grid(&cloud.points, cloud.size)?;
         let geometry = Geometry::Rays(table);
@@ -80,10 +79,10 @@ impl Scans {
             None => SensorSpec::new(stem(path), "laser", geometry),
         };
         let frame = Frame::new(time, Sensor::new(spec)?, Measurement::Range(ranges))?;
-        Ok((frame, cloud.world_from_sensor))
+        Ok((frame, cloud.pose))
     }
 
-    fn of_image(&self, time: f64, path: &Path) -> Result<(Frame, Option<Pose>)> {
+    fn of_image(&self, time: f64, path: &Path) -> Result<(Frame, Option<SensorPose>)> {
         let channel = |name: &str| KnownChannel { name: name.to_owned(), is_id: false };
         let mut file = exr::read(path, &[channel("range"), channel("depth_z")])?;
         let text_of = |name: &str| file.texts.iter().find(|(of, _)| of == name).map(|(_, text)| text);
@@ -93,7 +92,7 @@ impl Scans {
         let world_from_sensor = text_of("world_from_sensor").map(|text| exr::pose_from_text(text)).transpose();
         let world_from_sensor = world_from_sensor.map_err(|e| e.at(exr::attribute("world_from_sensor")))?;
         let Some(sensor) = self.sensor.clone().or(own) else {
-            return Err(Error::invalid("it does not say which sensor measured it", "give the sensor"));
+            return Err(Error::invalid("the file does not name the sensor that measured it", "give the sensor"));
         };
         let (width, height) = (sensor.width(), sensor.height());
         if (file.width, file.height) != (width, height) {
@@ -105,7 +104,7 @@ impl Scans {
             (None, Some(depth_z)) => Measurement::DepthZ(depth_z),
             _ => return Err(Error::invalid("it has no range image", "give one with the channel range or depth_z")),
         };
-        Ok((Frame::new(time, sensor, measurement)?, world_from_sensor))
+        Ok((Frame::new(time, sensor, measurement)?, world_from_sensor.map(SensorPose::new)))
     }
 }
 
@@ -160,11 +159,11 @@ struct NamedPose {
     quaternion_xyzw: [f64; 4],
 }
 
-fn read_poses(path: &Path) -> Result<HashMap<String, Pose>> {
+fn read_poses(path: &Path) -> Result<HashMap<String, SensorPose>> {
     from_text(path, parse_poses)
 }
 
-fn parse_poses(text: &str) -> Result<HashMap<String, Pose>> {
+fn parse_poses(text: &str) -> Result<HashMap<String, SensorPose>> {
     let wrong = |what: String| Error::invalid(what, "give {\"name\": {\"translation\": .., \"quaternion_xyzw\": ..}}");
     check_json_memory(text)?;
     let all: HashMap<String, serde_json::Value> = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
@@ -174,7 +173,7 @@ fn parse_poses(text: &str) -> Result<HashMap<String, Pose>> {
         let NamedPose { translation, quaternion_xyzw } = serde_json::from_value(value)
             .map_err(|e| wrong(format!("{}: {e}", presight_model::printable::quoted(&name))))?;
         let pose = Pose::new(DVec3::from(translation), DQuat::from_array(quaternion_xyzw));
-        poses.insert(name, pose?);
+        poses.insert(name, SensorPose::new(pose?));
     }
     Ok(poses)
 }

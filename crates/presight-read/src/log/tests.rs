@@ -1,5 +1,5 @@
 use super::*;
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 use presight_model::error::ErrorKind;
 use presight_model::sensor::{Angles, Geometry, Scanner};
 use proptest::prelude::*;
@@ -37,17 +37,19 @@ proptest! {
             0.5..30f32, Just(f32::INFINITY), Just(f32::NEG_INFINITY), Just(f32::NAN)
         ]),
         moved in prop::option::of(prop::array::uniform3(-3.0..3.0f64)),
-        bright in prop::option::of(prop::array::uniform3(prop_oneof![0.0..=1f32, Just(0.0), Just(1.0), Just(f32::NAN)])),
+        bright in prop::option::of(
+            prop::array::uniform3(prop_oneof![0.0..=1f32, Just(0.0), Just(1.0), Just(f32::NAN)])
+        ),
     ) {
         let odometry = moved.map(|[x, y, yaw]| Pose::from_xyz_rpy(DVec3::new(x, y, 0.1), 0.2, 0.3, yaw));
         let intensities = bright.map(|all| all.to_vec());
-        let frame = LogFrame { time, range: range.to_vec(), intensities, odometry, reference: odometry };
+        let frame = LogFrame { time, range: range.to_vec(), intensities, odometry, reference: odometry.map(RobotPose::new) };
         let read = frames(&log(&[&lines::line(&frame).unwrap(), ""])).unwrap();
         prop_assert_eq!(read.len(), 1);
         let bits = |all: &[f32]| all.iter().map(|r| if r.is_nan() { 0 } else { r.to_bits() }).collect::<Vec<_>>();
-        let told = |f: &LogFrame| (bits(&f.range), f.intensities.as_deref().map(bits));
-        prop_assert_eq!(told(&read[0]), told(&frame));
-        prop_assert_eq!((read[0].time, read[0].odometry, read[0].reference), (time, odometry, odometry));
+        let kept = |f: &LogFrame| (bits(&f.range), f.intensities.as_deref().map(bits));
+        prop_assert_eq!(kept(&read[0]), kept(&frame));
+        prop_assert_eq!((read[0].time, read[0].odometry, read[0].reference), (time, odometry, odometry.map(RobotPose::new)));
     }
 }
 
@@ -72,7 +74,7 @@ fn readings_and_poses_are_what_the_line_says() {
     let text = log(&[
         r#"{"t": 1, "range": [2, null, "inf"]}"#,
         "",
-        r#"{"t": 2.5, "range": ["-inf", 0.5, 30], "odometry": [1, 0, 0, 0, 0, 90], "reference": [1, 2, 3, 0, 0, 0, 2]}"#,
+        r#"{"t": 2.5, "range": ["-inf", 0.5, 30], "odometry": [1,0,0,0,0,90], "reference": [1, 2, 3, 0, 0, 0, 2]}"#,
     ]);
     let read = frames(&text).unwrap();
     assert_eq!(read.len(), 2);
@@ -80,7 +82,7 @@ fn readings_and_poses_are_what_the_line_says() {
     assert_eq!(read[1].range, [f32::NEG_INFINITY, 0.5, 30.0]);
     let ahead = read[1].odometry.unwrap().transform_point(DVec3::X);
     assert!((ahead - DVec3::new(1.0, 1.0, 0.0)).length() < 1e-12);
-    let reference = Pose { translation: DVec3::new(1.0, 2.0, 3.0), rotation: DQuat::IDENTITY };
+    let reference = RobotPose::from_xyz_rpy(DVec3::new(1.0, 2.0, 3.0), 0.0, 0.0, 0.0);
     assert_eq!(read[1].reference, Some(reference));
     assert_eq!((read[0].odometry, read[0].reference), (None, None));
 }
@@ -93,8 +95,8 @@ fn intensities_are_read_beside_ranges() {
         r#"{"t": 2, "range": [2, 2, 2]}"#,
     ]);
     let read = frames(&text).unwrap();
-    let told = read[0].intensities.as_ref().unwrap();
-    assert!(told[..2] == [0.25, 1.0] && told[2].is_nan() && read[1].intensities.is_none());
+    let kept = read[0].intensities.as_ref().unwrap();
+    assert!(kept[..2] == [0.25, 1.0] && kept[2].is_nan() && read[1].intensities.is_none());
     let sensor = Sensor::new(scanner(3)).unwrap();
     let sensed: Vec<_> = read.into_iter().map(|f| f.into_frame(&sensor, &OdometryNoise::default()).unwrap()).collect();
     let image = sensed[0].intensities().unwrap();
@@ -105,7 +107,7 @@ fn intensities_are_read_beside_ranges() {
 }
 
 #[test]
-fn what_is_wrong_is_told_with_file_and_line() {
+fn what_is_wrong_is_kept_with_file_and_line() {
     let good = r#"{"t": 1, "range": [2, 2, 2]}"#;
     let cases = [
         (r#"{"t": 2, "range": [2, 2]}"#, "2 ranges for 3 rays"),
@@ -183,7 +185,7 @@ fn documents_are_read_and_their_faults_named() {
     let frame = log.map(Result::unwrap).next().unwrap();
     assert!(frame.range[1].is_nan() && frame.range[0] == 1.5 && frame.range[2] == 2.0);
     assert_eq!(frame.odometry.unwrap().translation, DVec3::new(1.0, 2.0, 0.0));
-    assert_eq!(frame.reference.unwrap().translation, DVec3::new(3.0, 4.0, 0.0));
+    assert_eq!(frame.reference.unwrap().world_from_robot().translation, DVec3::new(3.0, 4.0, 0.0));
     let faults = [
         ("\"valid\": \"101\"", "\"valid\": \"10\"", "valid does not fit"),
         ("\"valid\": \"101\"", "\"valid\": \"1x1\"", "valid does not fit"),

@@ -149,14 +149,14 @@ mod tests {
         };
         assert!(hints(Up::Y, [20.0, 15.0, 3.0]).is_empty());
         for (up, word) in [(Up::Y, "`ImportOptions::up` z"), (Up::Z, "`ImportOptions::up` y")] {
-            let told = hints(up, [20.0, 3.0, 15.0]);
-            assert!(told.len() == 1 && told[0].contains(word), "{told:?}");
+            let lines = hints(up, [20.0, 3.0, 15.0]);
+            assert!(lines.len() == 1 && lines[0].contains(word), "{lines:?}");
         }
         for (height, word) in
             [(200.0, "such as 0.01"), (3000.0, "such as 0.001"), (0.2, "such as 10"), (0.003, "such as 1000")]
         {
-            let told = hints(Up::Y, [height * 5.0, height * 5.0, height]);
-            assert!(told.len() == 1 && told[0].ends_with(word), "{told:?}");
+            let lines = hints(Up::Y, [height * 5.0, height * 5.0, height]);
+            assert!(lines.len() == 1 && lines[0].ends_with(word), "{lines:?}");
         }
         assert!(hints(Up::Y, [2.0, 2.0, 0.0]).is_empty(), "a floor");
         for wrong in [0.0, -1.0, f64::NAN, f64::INFINITY] {

@@ -7,8 +7,9 @@ use presight_model::error::{Error, Result};
 use presight_model::limits;
 use presight_model::memory;
 
-/// Makes a mesh of triangles over vertices, metres in the mesh's own frame, all of one material: equal vertices are welded and
-/// coplanar neighbours merged, as in a scene file. Returns the mesh, and how many triangles without an area were left out.
+/// Makes a mesh of triangles over vertices, metres in the mesh's own frame, all of one material: equal vertices are
+/// welded and coplanar neighbours merged, as in a scene file. Returns the mesh, and how many triangles without an area
+/// were left out.
 ///
 /// ```
 /// use glam::Vec3;

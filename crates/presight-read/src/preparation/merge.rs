@@ -12,10 +12,11 @@ use presight_model::environment::Parts;
 use presight_model::geometry::Aabb;
 use presight_model::union_find::UnionFind;
 
-/// Most corners of a merged polygon. A higher limit would merge a few more fans, but slow every engine's worst case.
+/// Maximum number of corners of a merged polygon. A higher limit would merge a few more fans, but slow every
+/// engine's worst case.
 const MERGED_CORNERS: usize = 8;
 
-/// Largest angle, radians, between a source triangle and its merged polygon. It keeps the reflection angle of details
+/// Maximum angle, radians, between a source triangle and its merged polygon. It keeps the reflection angle of details
 /// much smaller than the mesh, which the tolerance on distances alone would flatten.
 const MAX_TILT: f64 = 1e-3;
 
@@ -30,7 +31,7 @@ pub(crate) struct MergeResult {
     pub parts: Parts,
     /// Merges of two polygons into one.
     pub merges: u64,
-    /// Largest distance of a source vertex from the plane of its polygon, metres in the mesh frame.
+    /// Maximum distance of a source vertex from the plane of its polygon, metres in the mesh frame.
     pub largest_deviation: f64,
 }
 
@@ -66,7 +67,7 @@ struct Face {
     /// Any half-edge of the outline.
     first: u32,
     corners: u32,
-    /// Largest distance of a corner from the plane.
+    /// Maximum distance of a corner from the plane.
     flatness: f64,
     /// Bound on the distance of source vertices that are no longer corners; negative infinity if there are none.
     hidden: f64,
@@ -245,7 +246,7 @@ impl<'a> Outlines<'a> {
         union
     }
 
-    /// Largest distance of a corner of the union from its plane, and a bound for the vertices inside.
+    /// Maximum distance of a corner of the union from its plane, and a bound for the vertices inside.
     fn deviations(&self, shared: &SharedEdges, union: &Union, normal: DVec3, a: &Face, b: &Face) -> (f64, f64) {
         let points = &union.points[..union.count];
         let origin = points[0];

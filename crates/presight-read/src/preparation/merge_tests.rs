@@ -81,7 +81,7 @@ fn doubled_area(points: &[DVec3], normal: DVec3) -> f64 {
     (1..points.len() - 1).map(|k| (points[k] - points[0]).cross(points[k + 1] - points[0]).dot(normal)).sum()
 }
 
-/// How far inside the outline a point is: the least signed distance to its edges.
+/// Minimum signed distance of a point to the edges of the outline; positive inside.
 fn depth_inside(p: DVec3, points: &[DVec3], normal: DVec3) -> f64 {
     let edge = |k: usize| {
         let (a, b) = (points[k], points[(k + 1) % points.len()]);
@@ -176,7 +176,7 @@ proptest! {
     }
 }
 
-/// A flat grid of cells with all diagonals the same way, and its four outer corners.
+/// A flat grid of cells with parallel diagonals, and its four outer corners.
 fn grid(width: usize, height: usize) -> TriangleMesh {
     triangles(&Field {
         width,

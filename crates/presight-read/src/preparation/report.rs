@@ -37,7 +37,7 @@ pub struct ImportReport {
     pub polygons_in_scene: u64,
     /// Merges of two neighbours into one polygon, in all used meshes.
     pub merges: u64,
-    /// Largest distance of any source vertex from the plane of its merged polygon, metres in the world.
+    /// Maximum distance of any source vertex from the plane of its merged polygon, metres in the world.
     pub largest_deviation_m: f64,
     /// Problems by kind; kinds that did not occur are left out.
     pub problems: Vec<Problem>,
@@ -52,7 +52,7 @@ impl ImportReport {
     }
 }
 
-/// A kind of problem of a model. Only parts without area or triangles are left out; nothing is repaired.
+/// A kind of problem of a model. Only parts without area or triangles are left out; the import repairs no geometry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ProblemKind {

@@ -183,7 +183,7 @@ impl Assembly {
     }
 }
 
-/// Checks that a thing to be placed or added has at least one object.
+/// Checks that a shape or an assembly to be placed or added has at least one object.
 pub(super) fn check_not_empty(thing: &Placeable) -> Result<()> {
     if thing.objects() > 0 {
         return Ok(());

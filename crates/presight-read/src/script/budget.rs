@@ -6,7 +6,7 @@ use presight_model::memory;
 use std::cell::Cell;
 use std::rc::Rc;
 
-/// Counts memory in polygon corners. Other data count as the corners that need as much memory.
+/// Counts memory in units of a polygon corner. Other data are converted to the number of corners with equal memory.
 #[derive(Debug, Default)]
 pub(super) struct Budget {
     held: Cell<u64>,

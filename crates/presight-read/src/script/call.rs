@@ -57,7 +57,7 @@ impl Spot {
 pub(super) struct Call<'a, 'b> {
     pub studio: &'a Studio,
     pub function: &'static Function,
-    /// Where the call is.
+    /// Place of the call.
     pub at: Spot,
     pub args: &'a mut [&'b mut Dynamic],
 }
@@ -220,7 +220,7 @@ impl NamedValue<'_> {
         self.numbers().map(DVec2::from_array)
     }
 
-    /// A value of one of our types.
+    /// A value of a type that presight registers.
     fn held<T: Clone + 'static>(&self, needed: &str) -> Result<T> {
         self.value.read_lock::<T>().map(|held| held.clone()).ok_or_else(|| self.wrong(needed))
     }

@@ -15,7 +15,7 @@ use std::rc::Rc;
 pub(super) struct Fault(Rc<Error>, Option<&'static Function>);
 
 impl Fault {
-    /// An error in a call of one of our functions.
+    /// An error in a call of a function of presight.
     pub fn in_call(e: Error, function: &'static Function, at: Position) -> Box<EvalAltResult> {
         EvalAltResult::ErrorRuntime(Dynamic::from(Self(Rc::new(e), Some(function))), at).into()
     }
@@ -39,7 +39,7 @@ impl Fault {
 /// Texts of the scripts read so far, by their names in errors.
 pub(super) type Sources = BTreeMap<String, String>;
 
-/// Greatest number of callers listed in an error.
+/// Maximum number of callers listed in an error.
 const LISTED_CALLERS: usize = 3;
 
 /// Converts an error of Rhai to ours. `script` is the main file.

@@ -1,5 +1,5 @@
 //! Detects parts added to an assembly that is never used. Rhai passes copies to functions, so `add(a[0], ..)` changes a
-//! copy that is dropped at once.
+//! copy that is dropped immediately.
 
 use super::call::Spot;
 use presight_model::error::{Error, Result};
@@ -17,7 +17,8 @@ impl LostPart {
         let Some((name, at)) = self.0.take() else { return Ok(()) };
         let what =
             format!("part {name:?} is lost: it is added to a copy of an assembly, or to an assembly already placed");
-        let remedy = "write a.add(name, thing), also for a[0] and m.a, before a is placed; functions must return the changed assembly";
+        let remedy = "write a.add(name, part), also for a[0] and m.a, before a is placed; functions must return the \
+                      changed assembly";
         Err(at.place(Error::invalid(what, remedy), "add"))
     }
 }

@@ -16,7 +16,7 @@ pub(super) enum EndReason {
     Clock,
 }
 
-/// Reading this many array elements, half as many map entries, or 256 bytes of strings counts as one operation.
+/// Reading this many array elements, half as many map entries, or 256 bytes of strings is one operation.
 const READ: usize = 16;
 /// Operations between two checks of the clock.
 const LOOK: u64 = 256;

@@ -188,7 +188,7 @@ fn listen(engine: &mut Engine, say: Sender<String>) {
     let said = Cell::new(0u64);
     let send = Rc::new(move |line: String| {
         said.set(said.get() + 1);
-        // Sending fails only if nobody receives the lines any more.
+        // Sending fails only if the receiver of the lines is gone.
         let _ = match said.get() {
             n if n <= limits::MAX_SCRIPT_MESSAGES => say.send(line),
             n if n == limits::MAX_SCRIPT_MESSAGES + 1 => say.send("(more lines are left out)".into()),

@@ -23,7 +23,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Greatest length of the names that an error lists, bytes.
+/// Maximum length of the names that an error lists, bytes.
 const LISTED: usize = 240;
 /// Bytes of a map entry, without its text.
 const ENTRY: usize = 48;
@@ -65,7 +65,7 @@ struct ObjectFeature {
     /// The id, if the script gives one.
     id: Option<u32>,
     feature: Feature,
-    /// Where the object was placed.
+    /// Place of the call that placed the object.
     at: Spot,
 }
 
@@ -125,7 +125,7 @@ impl Studio {
         new
     }
 
-    /// Places a thing with all its parts under a path. `at` is the place of the call.
+    /// Places a shape or an assembly with all its parts under a path. `at` is the place of the call.
     pub fn place(&self, path: &str, thing: &Placeable, world_from_thing: &Pose, at: &Spot) -> Result<()> {
         check_not_empty(thing)?;
         thing.mark_used();

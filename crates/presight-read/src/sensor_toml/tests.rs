@@ -1,5 +1,8 @@
 use super::*;
+use glam::DVec3;
 use presight_model::error::ErrorKind;
+use presight_model::geometry::Pose;
+use presight_model::sensor::{Angles, Camera, Distortion, Mixture, Noise, RayTable, Scanner};
 use presight_model::sensor::{PRESETS, Sensor};
 use proptest::prelude::*;
 

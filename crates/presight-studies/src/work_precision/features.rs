@@ -14,7 +14,7 @@ use presight_features::{
     Visibility, place, predict_features,
 };
 use presight_model::error::Result;
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_predict::predict::Prediction;
 use presight_predict::request::Request;
@@ -151,8 +151,10 @@ impl FeaturePath {
         let options = options.with_hidden(Hidden::Full);
         let request = Request::default().with_features(options.with_placed(case.placed.clone()));
         match &mut self.found {
-            Some(found) if found.request == request => predictor.predict_again(world, pose, found)?,
-            found => *found = Some(predictor.predict(world, &self.sensor, pose, &request)?),
+            Some(found) if found.request == request => {
+                predictor.predict_again(world, &SensorPose::new(*pose), found)?
+            }
+            found => *found = Some(predictor.predict(world, &self.sensor, &SensorPose::new(*pose), &request)?),
         }
         // Add entries for features out of view, as in the truth.
         let found = self.found.as_mut();

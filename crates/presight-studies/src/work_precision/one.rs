@@ -6,7 +6,7 @@ use super::timing::{TimedPath, Timing, by_turns};
 use super::views::StudyView;
 use super::{Effort, Finding, PathNotes, Row, Scene, advice, features, pareto, request};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_pictures as png;
@@ -122,7 +122,7 @@ impl SceneStudy<'_> {
             }
             let draw = |one: &mut ImagePath| {
                 let predictor = self.engines.predictor(one.path.which)?;
-                predictor.predict_images(&one.world, &one.view.sensor, pose, request(), &mut images)
+                predictor.predict_images(&one.world, &one.view.sensor, &SensorPose::new(*pose), request(), &mut images)
             };
             by_turns(self.effort, &mut all, draw, |round| progress(&format!("images by turns, {round}: {place}")))?;
         }
@@ -149,7 +149,9 @@ impl SceneStudy<'_> {
     ) -> Result<()> {
         let (view, mut images) = (&what.view, Images::default());
         let predictor = self.engines.predictor(what.path.which)?;
-        timing.warm(|| predictor.predict_images(&what.world, &view.sensor, pose, request(), &mut images))?;
+        timing.warm(|| {
+            predictor.predict_images(&what.world, &view.sensor, &SensorPose::new(*pose), request(), &mut images)
+        })?;
         let (truth_images, shown) = view.beside(&truth.images, &images);
         // A part of the image is compared using its own sensor, to which its pixels belong.
         let own = (!view.whole).then(|| FramePlan::new(&self.scene.world, &view.judge, pose, request())).transpose()?;

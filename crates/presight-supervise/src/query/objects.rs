@@ -4,7 +4,7 @@ use super::clip::clipped;
 use crate::grid::Cells;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, RobotPose};
 use presight_model::index::{QueryResult, Region};
 use presight_model::world::World;
 use presight_predict::free_poses::distance;
@@ -24,7 +24,7 @@ pub enum Place {
         radius: f64,
     },
     /// A corridor, and the robot's pose if it is in the robot's frame.
-    Along(Corridor, Pose),
+    Along(Corridor, RobotPose),
 }
 
 /// An object with a surface in a part of space.
@@ -89,10 +89,8 @@ pub fn objects_in(world: &World, place: &Place) -> Result<Vec<ObjectFound>> {
 type Found = BTreeMap<u32, (usize, Option<f64>)>;
 
 fn count(world: &World, region: &Region, holds: impl Fn(u32, u32) -> bool) -> Found {
-    let (environment, mut result) = (world.environment(), QueryResult::default());
-    world.index().query(environment, region, &mut result);
     let mut found = Found::new();
-    for (object, polygon) in result.all().filter_map(|slot| environment.locate(slot)) {
+    for (object, polygon) in world.polygons_in(region, &mut QueryResult::default()) {
         if holds(object, polygon) {
             found.entry(object).or_default().0 += 1;
         }
@@ -126,18 +124,18 @@ fn in_sphere(world: &World, center: DVec3, radius: f64) -> Result<Found> {
 /// Side of the cells by which a corridor is searched, metres.
 const CELL: f64 = 0.1;
 
-fn along(world: &World, corridor: &Corridor, robot: &Pose) -> Result<Found> {
-    robot.check()?;
+fn along(world: &World, corridor: &Corridor, robot: &RobotPose) -> Result<Found> {
+    let world_from_robot = robot.world_from_robot();
+    world_from_robot.check()?;
     let cells = Cells::new(corridor, CELL)?;
-    let world_from_corridor = if corridor.frame() == CorridorFrame::World { Pose::IDENTITY } else { *robot };
+    let world_from_corridor = if corridor.frame() == CorridorFrame::World { Pose::IDENTITY } else { world_from_robot };
     let ([min, max], [low, high]) = (corridor.bounds(), corridor.heights());
     let bounds = Aabb { min: min.extend(low), max: max.extend(high) };
     let corridor_from_world = world_from_corridor.inverse();
     let environment = world.environment();
     let (mut result, mut found) = (QueryResult::default(), Found::new());
     let region = Region::cuboid(&bounds.transformed(&world_from_corridor.to_affine()));
-    world.index().query(environment, &region, &mut result);
-    for (object, polygon) in result.all().filter_map(|slot| environment.locate(slot)) {
+    for (object, polygon) in world.polygons_in(&region, &mut result) {
         let corners = environment.objects()[object as usize].polygon_in_world(polygon);
         let corners: Vec<DVec3> = corners.iter().map(|p| corridor_from_world.transform_point(*p)).collect();
         let inside = clipped(corners, &bounds);

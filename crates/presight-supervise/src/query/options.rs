@@ -1,29 +1,16 @@
 //! Options of a path search.
 
-/// The robot of a path search.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct PathOptions {
-    /// Radius of the robot seen from above, metres.
-    pub radius: f64,
-    /// Distance between neighbouring positions, metres.
-    pub step: f64,
-    /// Height above the floor from which surfaces are obstacles, metres.
-    pub clearance: f64,
-    /// Height of the robot, metres.
-    pub height: f64,
-}
-
-impl Default for PathOptions {
-    fn default() -> Self {
-        Self { radius: 0.4, step: 0.05, clearance: 0.06, height: 1.8 }
+presight_model::options! {
+    /// The robot of a path search.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct PathOptions {
+        /// Radius of the robot seen from above, metres.
+        radius: f64 = 0.4, with_radius;
+        /// Distance between neighbouring positions, metres.
+        step: f64 = 0.05, with_step;
+        /// Height above the floor from which surfaces are obstacles, metres.
+        clearance: f64 = 0.06, with_clearance;
+        /// Height of the robot, metres.
+        height: f64 = 1.8, with_height;
     }
 }
-
-presight_model::with_options!(
-    PathOptions:
-    with_radius radius: f64,
-    with_step step: f64,
-    with_clearance clearance: f64,
-    with_height height: f64,
-);

@@ -6,30 +6,18 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::world::World;
 
-/// The threshold of uncertainty.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct UncertainOptions {
-    /// Probability of existence below which a feature is uncertain.
-    pub min_existence: f64,
-    /// Time at which existence is evaluated, UTC seconds; `None` for the newest confirmation of each layer.
-    pub time: Option<f64>,
-    /// Features that were not confirmed since then are uncertain, UTC seconds; `None` to use their existence alone.
-    pub since: Option<f64>,
-}
-
-impl Default for UncertainOptions {
-    fn default() -> Self {
-        Self { min_existence: 0.5, time: None, since: None }
+presight_model::options! {
+    /// The threshold of uncertainty.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct UncertainOptions {
+        /// Probability of existence below which a feature is uncertain.
+        min_existence: f64 = 0.5, with_min_existence;
+        /// Time at which existence is evaluated, UTC seconds; `None` for the newest confirmation of each layer.
+        time: Option<f64> = None, with_time;
+        /// Features that were not confirmed since then are uncertain, UTC seconds; `None` to use their existence alone.
+        since: Option<f64> = None, with_since;
     }
 }
-
-presight_model::with_options!(
-    UncertainOptions:
-    with_min_existence min_existence: f64,
-    with_time time: Option<f64>,
-    with_since since: Option<f64>,
-);
 
 /// The reason why a feature or an object is uncertain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

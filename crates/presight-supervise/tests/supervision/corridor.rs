@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use presight_model::environment::{Environment, NewObject};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose, SensorPose};
 use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -47,13 +47,13 @@ pub fn exact(world: &World, sensor: &Sensor) -> Frame {
     let outputs = presight_render::plan::Outputs::of(&[presight_render::plan::Output::Range]);
     let mut images = presight_render::plan::Images::default();
     let pose = robot() * sensor.spec().mount;
-    predictor().predict_images(world, sensor, &pose, outputs, &mut images).unwrap();
+    predictor().predict_images(world, sensor, &SensorPose::new(pose), outputs, &mut images).unwrap();
     Frame::new(0.0, sensor.clone(), Measurement::Range(images.range)).unwrap()
 }
 
 /// The robot's pose and its deviations in most tests.
 pub fn known() -> PoseEstimate {
-    PoseEstimate::of_sigmas(robot(), 0.003, 0.001)
+    PoseEstimate::of_sigmas(RobotPose::new(robot()), 0.003, 0.001)
 }
 
 /// Supervises frames of the world with the room as the model.

@@ -3,7 +3,7 @@
 use super::corridor::{corridor, known, predictor, robot, room};
 use glam::DVec3;
 use presight_localize::simulate::{Disturbances, Simulator};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, RobotPose};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_supervise::{CellState, SuperviseOptions, Supervisor};
@@ -29,7 +29,7 @@ fn intruders_are_found_and_no_free_cell_hides_one() {
             let environment = with_intruder(&room(), robot() * place, k % 4);
             let alone = truth::alone(&environment, &(robot() * sensor.spec().mount));
             let world = World::new(environment);
-            let frame = simulator(&sensor, random.0).frame(&world, 0.0, &robot()).unwrap();
+            let frame = simulator(&sensor, random.0).frame(&world, 0.0, &RobotPose::new(robot())).unwrap();
             let belief = believed(&robot(), [0.003, 0.001], &mut random);
             let report = supervisor.supervise(&mut predictor, &model, &[&frame], Some(&belief)).unwrap();
             let pixels = truth::pixels(&world, &alone, &frame, &robot(), &corridor());
@@ -75,7 +75,7 @@ fn an_empty_corridor_raises_no_alarm() {
         let (mut predictor, mut simulator) = (predictor(), simulator(&sensor, 5));
         let count = if sensor.height() == 1 { 2000 } else { 500 };
         for k in 0..count {
-            let frame = simulator.frame(&model, f64::from(k), &robot()).unwrap();
+            let frame = simulator.frame(&model, f64::from(k), &RobotPose::new(robot())).unwrap();
             let belief = believed(&robot(), [0.003, 0.001], &mut random);
             let report = supervisor.supervise(&mut predictor, &model, &[&frame], Some(&belief)).unwrap();
             assert!(report.intrusions.is_empty(), "{name}, frame {k}: {:?}", report.intrusions);
@@ -130,7 +130,7 @@ fn known_objects_a_centimetre_off_are_no_intrusions() {
             let model = World::new(environment);
             let mut world = model.clone();
             displace(&mut world, 0.01, k).unwrap();
-            let frame = simulator(&sensor, k).frame(&world, 0.0, &pose).unwrap();
+            let frame = simulator(&sensor, k).frame(&world, 0.0, &RobotPose::new(pose)).unwrap();
             let belief = believed(&pose, [0.003, 0.001], &mut random);
             let mut supervisor = Supervisor::new(corridor(), options).unwrap();
             let report = supervisor.supervise(&mut predictor(), &model, &[&frame], Some(&belief)).unwrap();

@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 use presight_model::environment::Environment;
 use presight_model::error::ErrorKind;
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, RobotPose};
 use presight_model::world::World;
 use presight_predict::virtual_sensors::Corridor;
 use presight_supervise::query::{
@@ -66,11 +66,11 @@ fn objects_are_found_where_their_surfaces_are() {
     assert!(names(&bounds([0.9, -0.1, 0.4], [1.1, 0.1, 0.6])).is_empty(), "inside of it there is no surface");
     assert_eq!(names(&Place::Sphere { center: DVec3::new(3.0, 1.0, 0.5), radius: 0.51 }), ["far"]);
     let corridor = Corridor::new(vec![[0.0, 0.0], [4.0, 0.0]], 0.3, 0.1, 1.0).unwrap();
-    let found = objects_in(&world, &Place::Along(corridor.clone(), Pose::IDENTITY)).unwrap();
+    let found = objects_in(&world, &Place::Along(corridor.clone(), RobotPose::IDENTITY)).unwrap();
     assert_eq!(found.iter().map(|o| o.name.as_str()).collect::<Vec<_>>(), ["near", "far"]);
     assert!((found[0].along.unwrap() - 0.8).abs() < 0.11 && (found[1].along.unwrap() - 2.8).abs() < 0.11);
     let turned = Pose::from_xyz_rpy(DVec3::new(2.0, 0.0, 0.0), 0.0, 0.0, std::f64::consts::FRAC_PI_2);
-    assert_eq!(names(&Place::Along(corridor, turned)), ["beside"]);
+    assert_eq!(names(&Place::Along(corridor, RobotPose::new(turned))), ["beside"]);
     let inside_out = objects_in(&world, &bounds([1.0, 0.0, 0.0], [0.0, 1.0, 1.0])).unwrap_err();
     assert!(inside_out.kind() == ErrorKind::Usage && inside_out.to_string().contains("least corner"));
     assert!(objects_in(&world, &Place::Sphere { center: DVec3::ZERO, radius: 0.0 }).is_err());

@@ -8,7 +8,7 @@ use presight_store::{Edit, EditPose, ShapeSource};
 
 /// Sets the pose of an object.
 pub(crate) fn set_pose(object: &str, pose: &Pose) -> Edit {
-    Edit::Change(Change::SetPose { name: object.to_owned(), world_from_object: *pose })
+    Edit::from(Change::SetPose { name: object.to_owned(), world_from_object: *pose })
 }
 
 /// Inserts an object at a pose.
@@ -27,5 +27,5 @@ pub(crate) fn source(shape: &LibraryShape) -> ShapeSource {
 /// Sets a mark on an object.
 pub(crate) fn mark(name: String, object: &str, kind: MarkKind, class: Option<String>, bounds: Option<Aabb>) -> Edit {
     let mark = Mark { object: object.to_owned(), kind, class, bounds };
-    Edit::Change(Change::SetMark { name, mark })
+    Edit::from(Change::SetMark { name, mark })
 }

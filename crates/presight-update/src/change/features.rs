@@ -79,7 +79,7 @@ pub(crate) fn insertions(known: &Knowledge, environment: &Environment, utc: f64,
         let (strength, contrast) = (mean(None, track.strength), mean(None, track.contrast));
         let properties = Properties { strength, contrast, ..Properties::default() };
         let feature = Feature { id, name: None, object: Some(object), shape, existence, properties };
-        let insert = Edit::Change(Change::InsertFeature { class: class.to_owned(), feature });
+        let insert = Edit::from(Change::InsertFeature { class: class.to_owned(), feature });
         let what = match track.kind {
             Kind::Reflector => "a reflector",
             Kind::Corner => "a corner",

@@ -23,7 +23,7 @@ use std::time::Duration;
 /// # presight_store::create(&path, &environment, &Note::new("new", 0.0))?;
 /// let mut store = Store::open(&path)?;
 /// let mut pending = PendingChanges::default();
-/// let edit = Edit::Change(Change::DeleteObject { name: "crate".to_owned() });
+/// let edit = Edit::from(Change::DeleteObject { name: "crate".to_owned() });
 /// pending.add([ProposedChange::new(edit, "the crate is gone", None, Vec::new(), "v1")?]);
 /// let note = Note::new("monday", 1.7e9);
 /// assert_eq!(pending.apply(&mut store, &note, Duration::ZERO)?.changes.len(), 0);

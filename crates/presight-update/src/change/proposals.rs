@@ -37,7 +37,7 @@ pub(crate) fn changes(
     let group =
         |edits: Vec<Edit>, cause: String| ProposedChange::new(Edit::Group(edits), cause, None, Vec::new(), base);
     let trusts: Vec<Edit> =
-        findings.confirmed.iter().filter_map(|name| trust(known, environment, name, utc)).map(Edit::Change).collect();
+        findings.confirmed.iter().filter_map(|name| trust(known, environment, name, utc)).map(Edit::from).collect();
     if !trusts.is_empty() {
         let cause = format!("{} objects were seen where the model has them", trusts.len());
         changes.push(group(trusts, cause)?);
@@ -52,7 +52,7 @@ pub(crate) fn changes(
     let edits = features::changes(&known.features, (environment, &now), known.options.min_views, utc);
     if !edits.is_empty() {
         let cause = format!("{} features were searched", edits.len());
-        changes.push(group(edits.into_iter().map(Edit::Change).collect(), cause)?);
+        changes.push(group(edits.into_iter().map(Edit::from).collect(), cause)?);
     }
     for features::Insertion { edit, cause, views } in features::insertions(known, environment, utc, base) {
         let evidence = ChangeEvidence { log_odds: None, views };
@@ -77,7 +77,7 @@ fn of_finding(
     };
     let (edit, cause) = match kind {
         FindingKind::Gone => {
-            let delete = || Edit::Change(Change::DeleteObject { name: object.clone() });
+            let delete = || Edit::from(Change::DeleteObject { name: object.clone() });
             let reason = if only_mark { "not where the model has it" } else { "gone" };
             (if only_mark { own() } else { delete() }, format!("{object} is {reason}"))
         }
@@ -122,7 +122,7 @@ fn of_refined(refined: &RefinedPose, environment: &Environment, base: &str) -> R
     let RefinedPose { object, class, world_from_object, covariance, distance, views } = refined;
     let (class, covariance) = (class.clone(), Some(*covariance));
     let own = Change::SetPoseCovariance { class, object: object.clone(), covariance };
-    let edit = Edit::Group(vec![set_pose(object, world_from_object), Edit::Change(own)]);
+    let edit = Edit::Group(vec![set_pose(object, world_from_object), Edit::from(own)]);
     let cause = format!("{views} views put {object} {distance:.4} m off its place");
     let evidence = ChangeEvidence { log_odds: None, views: *views };
     ProposedChange::new(edit, cause, Some(evidence), pose_before(environment, object), base)

@@ -5,7 +5,7 @@ use crate::decide::shapes::Recognized;
 use crate::observe::priors::own_bounds;
 use glam::DVec3;
 use presight_model::environment::Environment;
-use presight_model::geometry::{Aabb, Pose};
+use presight_model::geometry::{Aabb, Pose, SensorPose};
 
 /// The kind of a difference between model and site.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,8 +58,8 @@ pub struct BestView {
     pub sensor: String,
     /// Stamp of the frame, seconds.
     pub stamp: f64,
-    /// Pose of the sensor, body axes.
-    pub world_from_sensor: Pose,
+    /// Pose of the sensor.
+    pub pose: SensorPose,
 }
 
 /// A free pose from which a reading would decide a question.
@@ -67,8 +67,8 @@ pub struct BestView {
 pub struct PlannedView {
     /// Name of the sensor.
     pub sensor: String,
-    /// Pose of the sensor, body axes.
-    pub world_from_sensor: Pose,
+    /// Pose of the sensor.
+    pub pose: SensorPose,
     /// Expected logarithm of the likelihood ratio of its reading, with the object to without it.
     pub odds: f64,
 }

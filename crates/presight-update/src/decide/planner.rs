@@ -119,8 +119,8 @@ impl<'a> ViewPlanner<'a> {
             coarse.sort_by(|a, b| b.0.total_cmp(&a.0));
             for (odds, pose) in coarse.into_iter().take(TRIED.1).map(|(_, at)| evaluate(at, RAYS)) {
                 if odds > best.as_ref().map_or(0.0, |best| best.odds) {
-                    let (sensor, world_from_sensor) = (view.sensor_name().to_owned(), view.sensor_pose(&pose));
-                    best = Some(PlannedView { sensor, world_from_sensor, odds });
+                    let (sensor, pose) = (view.sensor_name().to_owned(), view.sensor_pose(&pose));
+                    best = Some(PlannedView { sensor, pose, odds });
                 }
             }
         }

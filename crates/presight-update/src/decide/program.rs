@@ -5,7 +5,7 @@ use crate::decide::recognize::{Proposal, Recognizer};
 use glam::DVec3;
 use presight_model::clock::Instant;
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_store::pose_of;
+use presight_model::geometry::Pose;
 use serde::Deserialize;
 use std::io::{BufWriter, Read, Write};
 use std::process::{Child, Command, Stdio};
@@ -152,7 +152,7 @@ fn parse(bytes: &[u8]) -> Result<Vec<Proposal>> {
         let wrong =
             |e: String| Error::invalid(format!("line {number} of its answer is not a valid proposal: {e}"), remedy);
         let Line { object, pose } = serde_json::from_str(line).map_err(|e| wrong(e.to_string()))?;
-        let world_from_object = pose_of(&pose).map_err(|e| wrong(e.what().to_owned()))?;
+        let world_from_object = Pose::of_numbers(&pose).map_err(|e| wrong(e.what().to_owned()))?;
         Ok(Proposal { object, world_from_object })
     };
     lines.map(proposal).collect()

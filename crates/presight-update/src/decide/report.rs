@@ -30,7 +30,7 @@ impl Decision<'_> {
             drive: view.drive,
             sensor: view.sensor_name().to_owned(),
             stamp: view.stamp,
-            world_from_sensor: view.sensor_pose(&view.world_from_image),
+            pose: view.sensor_pose(&view.world_from_image),
         });
         Finding { object, kind, l, views, best_view, growth }
     }

@@ -46,21 +46,6 @@ pub(crate) type Cell = (u32, u8, [i32; 3]);
 /// A class of sensors, and whether its rays meet the surface almost parallel to it.
 pub(crate) type Aspect = (u32, String, bool);
 
-/// Numbers of pixels whose ray meets an object first, by their evidence.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct PixelCounts {
-    /// The object is there.
-    pub there: usize,
-    /// The ray passed through it.
-    pub through: usize,
-    /// Something else is before it.
-    pub before: usize,
-    /// The range would be the same without it.
-    pub same: usize,
-    /// The ray went on near an edge, or almost parallel to its surface.
-    pub edge: usize,
-}
-
 /// An object larger than this is also judged by parts, metres.
 pub(crate) const MIN_DIVIDED: f64 = 4.0;
 /// Maximum cosine of the incidence of a ray that glass reflects.
@@ -87,7 +72,6 @@ pub(crate) fn cell(p: DVec3, n: DVec3, size: f64) -> (u8, [i32; 3]) {
 pub(crate) struct ViewSums {
     objects: BTreeMap<u32, f64>,
     cells: BTreeMap<Cell, f64>,
-    pixels: BTreeMap<u32, PixelCounts>,
     /// Sums by object, separate for rays almost parallel to its surface.
     aspects: BTreeMap<(u32, bool), f64>,
 }
@@ -98,20 +82,11 @@ impl ViewSums {
         let mut sums = Self::default();
         for (at, evidence) in view.evidence.iter().enumerate() {
             let Some(hit) = hits[at] else { continue };
-            let object = hit.object;
-            let pixels = sums.pixels.entry(object).or_default();
-            let (count, sign) = match evidence {
-                PixelEvidence::Present => (&mut pixels.there, 1.0),
-                PixelEvidence::SeenThrough => (&mut pixels.through, -1.0),
-                PixelEvidence::Covered => (&mut pixels.before, 0.0),
-                PixelEvidence::Ambiguous => (&mut pixels.same, 0.0),
-                PixelEvidence::Edge => (&mut pixels.edge, 0.0),
-                PixelEvidence::Missing => continue,
+            let (object, sign) = match evidence {
+                PixelEvidence::Present => (hit.object, 1.0),
+                PixelEvidence::SeenThrough => (hit.object, -1.0),
+                _ => continue,
             };
-            *count += 1;
-            if sign == 0.0 {
-                continue;
-            }
             *sums.objects.entry(object).or_default() += sign;
             let ray = view.world_from_image.rotation * view.pixels.rays[at];
             *sums.aspects.entry((object, hit.normal.dot(ray).abs() < GRAZING)).or_default() += sign;
@@ -133,7 +108,6 @@ pub(crate) struct Book {
     pub cells: BTreeMap<Cell, Evidence>,
     /// Log-odds of each object after each view.
     pub growth: BTreeMap<u32, Vec<f32>>,
-    pub pixels: BTreeMap<u32, PixelCounts>,
     pub aspects: BTreeMap<Aspect, Evidence>,
 }
 
@@ -148,14 +122,6 @@ impl Book {
             if growth.len() < MAX_GROWTH {
                 growth.push(evidence.l as f32);
             }
-        }
-        for (object, more) in &sums.pixels {
-            let sum = self.pixels.entry(*object).or_default();
-            sum.there += more.there;
-            sum.through += more.through;
-            sum.before += more.before;
-            sum.same += more.same;
-            sum.edge += more.edge;
         }
         for ((object, is_grazing), sum) in &sums.aspects {
             self.aspects.entry((*object, class.to_owned(), *is_grazing)).or_default().add(*sum, max, stamp);

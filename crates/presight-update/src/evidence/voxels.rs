@@ -75,7 +75,7 @@ impl Default for OccupancyThreshold {
 ///
 /// ```
 /// use glam::DVec3;
-/// use presight::update::{OccupancyThreshold, Voxels};
+/// use presight_update::{OccupancyThreshold, Voxels};
 /// let mut voxels = Voxels::new(0.1);
 /// for view in 0..3 {
 ///     let p = DVec3::new(2.05, 0.05, 0.05 + 0.01 * f64::from(view));

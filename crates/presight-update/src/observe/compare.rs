@@ -147,7 +147,7 @@ impl Observer<'_> {
             reach: shot.reach,
             priors: self.priors,
         };
-        let pose = readings.register(&PoseEstimate::new(given.world_from_robot, covariance));
+        let pose = readings.register(&PoseEstimate::new(given.robot(), covariance));
         let terms = (!self.priors.is_empty()).then(|| readings.terms(given, &pose, self.views));
         (pose, terms)
     }
@@ -173,7 +173,7 @@ impl Observer<'_> {
             pixels: pixels.clone(),
             noise: shot.noise,
             objects: rays.iter().map(|ray| ray.hit.map_or(NO_OBJECT, |hit| hit.object)).collect(),
-            evidence: vec![PixelEvidence::Missing; rays.len()],
+            evidence: vec![PixelEvidence::Unknown; rays.len()],
             pose_sigma: (norm(&sigmas[..3]), norm(&sigmas[3..])),
             correction: PoseCorrections::of(given, &pose),
             terms,
@@ -190,7 +190,7 @@ impl Observer<'_> {
             if view.evidence[at] == PixelEvidence::Covered && z.is_finite() && is_backed(frame, pixels.pixel(at), z) {
                 let is_new = self.add_new_point(&mut view, ray, z, &errors);
                 if !is_new {
-                    view.evidence[at] = PixelEvidence::Missing;
+                    view.evidence[at] = PixelEvidence::Unknown;
                 }
             }
         }
@@ -236,7 +236,6 @@ impl Observer<'_> {
         let aside = errors.across(ray.origin + hit.range * ray.ray, ray.ray) / hit.range;
         let uncertain = NOISE_BOUND * (aside + errors.noise.angle) + 1e-4;
         let before = z.min(reach) - NOISE_BOUND * sigma;
-        view.evidence[at] = PixelEvidence::Edge;
         if hit.normal.dot(ray.ray).abs() < MIN_COSINE || !self.is_covered(ray, hit, uncertain, before) {
             return;
         }

@@ -68,7 +68,7 @@ impl PoseCorrections {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use presight_model::geometry::{Pose, PoseCovariance};
+    use presight_model::geometry::{Pose, PoseCovariance, RobotPose};
 
     /// The stated deviations are 1 degree and 1 cm. Two robots with different headings have a sensor 4 degrees and 5 cm
     /// to the left of its stated mount: both corrections are the same in the robots' axes. Errors of the same size with
@@ -80,7 +80,10 @@ mod tests {
         let view = |heading: f64, sign: f64| {
             let stated = Pose::from_xyz_rpy(DVec3::new(heading, 2.0, 0.0), 0.0, 0.0, heading);
             let found = stated * Pose::from_xyz_rpy(DVec3::new(0.0, sign * 0.05, 0.0), 0.0, 0.0, sign * 4.0 * rad);
-            PoseCorrections::of(&PoseEstimate::new(stated, covariance), &PoseEstimate::new(found, covariance))
+            PoseCorrections::of(
+                &PoseEstimate::new(RobotPose::new(stated), covariance),
+                &PoseEstimate::new(RobotPose::new(found), covariance),
+            )
         };
         let (mut same, mut changing) = (PoseCorrections::default(), PoseCorrections::default());
         for k in 0..12 {

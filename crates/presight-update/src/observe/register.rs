@@ -8,7 +8,7 @@ use glam::DVec3;
 use presight_localize::motion::{motion_between, moved};
 use presight_localize::verdict::ObjectError;
 use presight_model::caster::RayCaster;
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, apply, inverse, quadratic, scaled};
 use presight_model::measured::RangeNoise;
 use presight_model::statistics::NOISE_BOUND;
@@ -86,7 +86,10 @@ impl Readings<'_> {
             }
             let covariance = inverse(&information, &axes);
             let step = apply(&covariance, &gradient);
-            pose = PoseEstimate::new(moved(&pose.world_from_robot, &step), PoseCovariance::from_rows(covariance));
+            pose = PoseEstimate::new(
+                RobotPose::new(moved(&pose.world_from_robot, &step)),
+                PoseCovariance::from_rows(covariance),
+            );
         }
         pose
     }

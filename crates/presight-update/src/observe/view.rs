@@ -6,7 +6,7 @@ use crate::observe::spot::Spot;
 use crate::observe::terms::Terms;
 use glam::DVec3;
 use presight_localize::verdict::body_from_image;
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::measured::RangeNoise;
 use presight_model::statistics::NOISE_BOUND;
 use std::sync::Arc;
@@ -25,8 +25,8 @@ const MAX_REACH: f64 = 1e5;
 /// The evidence of a pixel on the first object on its ray.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PixelEvidence {
-    /// The pixel has no reading.
-    Missing,
+    /// The pixel has no reading, or its ray went on near an edge of the object or almost parallel to its surface.
+    Unknown,
     /// The object is there. Without it the range would differ.
     Present,
     /// The ray passed through the object.
@@ -35,8 +35,6 @@ pub(crate) enum PixelEvidence {
     Covered,
     /// The range would be about the same without the object.
     Ambiguous,
-    /// The ray went on, but near an edge of the object or almost parallel to its surface.
-    Edge,
 }
 
 /// A frame compared with a world.
@@ -93,8 +91,8 @@ impl View {
     }
 
     /// The pose of the sensor's body axes, for a pose of its image axes.
-    pub fn sensor_pose(&self, world_from_image: &Pose) -> Pose {
-        *world_from_image * body_from_image(&self.pixels.sensor).inverse()
+    pub fn sensor_pose(&self, world_from_image: &Pose) -> SensorPose {
+        SensorPose::new(*world_from_image * body_from_image(&self.pixels.sensor).inverse())
     }
 
     /// The measured point of a sampled pixel, world frame; `None` without a finite reading.

@@ -4,7 +4,7 @@ use super::{SOUND, file_with};
 use crate::layer::{parse, read};
 use presight_model::error::ErrorKind;
 
-/// A bad feature, and a text that its error must contain.
+/// A bad feature, with [`SHORT`] names for what features share, and a text that its error must contain.
 const FEATURES: &[(&str, &str)] = &[
     (r#"{"id": 0, "kind": "point", "points": [[0, 0, 0]]}"#, "features[0] (id 0): id 0 is nothing"),
     (r#"{"id": -1, "kind": "point", "points": [[0, 0, 0]]}"#, "line 2"),
@@ -15,7 +15,7 @@ const FEATURES: &[(&str, &str)] = &[
     (r#"{"id": 1, "points": [[0, 0, 0]]}"#, "(id 1): kind is missing"),
     (r#"{"id": 1, "kind": "outline", "points": [[0, 0, 0]]}"#, "unknown variant `outline`"),
     (r#"{"id": 1, "kind": "point", "point": [0, 0, 0]}"#, "unknown field `point`"),
-    (r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "properties": {"colour": 1}}"#, "unknown field `colour`"),
+    (r#"{@point, "properties": {"colour": 1}}"#, "unknown field `colour`"),
     (r#"{"id": 1, "kind": "point", "kind": "point", "points": [[0, 0, 0]]}"#, "duplicate field `kind`"),
     (r#"{"id": 1, "kind": "point", "points": [0, 0, 0]}"#, "line 2"),
     (r#"{"id": 1, "kind": "point", "points": [[0, 0]]}"#, "line 2"),
@@ -30,143 +30,83 @@ const FEATURES: &[(&str, &str)] = &[
     (r#"{"id": 1, "kind": "segment", "points": [[0, 0, 0]]}"#, "1 points, but this kind has 2"),
     (r#"{"id": 1, "kind": "segment", "points": [[0, 0, 1], [0, 0, 1]]}"#, "(id 1): the segment has no length"),
     // Covariances.
-    (r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "covariance": [1, 0, 0, 1, 0, 0]}"#, "line 2"),
+    (r#"{@point, "covariance": [1, 0, 0, 1, 0, 0]}"#, "line 2"),
+    (r#"{@point, "covariance": [1, 0.1, 0, 0.2, 1, 0, 0, 0, 1]}"#, "not symmetric: [0][1] is 0.1, [1][0] is 0.2"),
+    (r#"{@point, "covariance": [1, 2, 0, 2, 1, 0, 0, 0, 1]}"#, "the covariance is indefinite"),
     (
-        r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "covariance": [1, 0.1, 0, 0.2, 1, 0, 0, 0, 1]}"#,
-        "not symmetric: [0][1] is 0.1, [1][0] is 0.2",
-    ),
-    (
-        r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "covariance": [1, 2, 0, 2, 1, 0, 0, 0, 1]}"#,
-        "the covariance is indefinite",
-    ),
-    (
-        r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "covariance": [1, 0, 0, 0, 1, 0, 0, 0, -1]}"#,
+        r#"{@patch: [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "covariance": [1, 0, 0, 0, 1, 0, 0, 0, -1]}"#,
         "variance at [2][2] is negative",
     ),
     (
-        r#"{"id": 1, "kind": "segment", "points": [[0, 0, 0], [0, 0, 1]], "covariances": [[1, 0, 0, 0, 1, 0, 0, 0, 1], [1, 0, 0, 0, 1, 0, 0, 2, 1]]}"#,
+        r#"{@segment, "covariances": [[1, 0, 0, 0, 1, 0, 0, 0, 1], [1, 0, 0, 0, 1, 0, 0, 2, 1]]}"#,
         "(id 1): end 1: the covariance is not symmetric",
     ),
     (
-        r#"{"id": 1, "kind": "segment", "points": [[0, 0, 0], [0, 0, 1]], "sigma": 1, "cross_covariance": [1.1, 0, 0, 0, 0, 0, 0, 0, 0]}"#,
+        r#"{@segment, "sigma": 1, "cross_covariance": [1.1, 0, 0, 0, 0, 0, 0, 0, 0]}"#,
         "both ends with their cross-covariance: the covariance is indefinite",
     ),
-    (r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "sigma": -0.1}"#, "(id 1): sigma -0.1 is negative"),
-    (r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "sigma": [1, 2]}"#, "line 2"),
-    (r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "sigma": "1"}"#, "a standard deviation in metres, or three"),
+    (r#"{@point, "sigma": -0.1}"#, "(id 1): sigma -0.1 is negative"),
+    (r#"{@point, "sigma": [1, 2]}"#, "line 2"),
+    (r#"{@point, "sigma": "1"}"#, "a standard deviation in metres, or three"),
+    (r#"{@point, "sigma": 1, "covariance": [1, 0, 0, 0, 1, 0, 0, 0, 1]}"#, "(id 1): the covariance is given twice"),
     (
-        r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "sigma": 1, "covariance": [1, 0, 0, 0, 1, 0, 0, 0, 1]}"#,
-        "(id 1): the covariance is given twice",
-    ),
-    (
-        r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "cross_covariance": [1, 0, 0, 0, 1, 0, 0, 0, 1]}"#,
+        r#"{@point, "cross_covariance": [1, 0, 0, 0, 1, 0, 0, 0, 1]}"#,
         "(id 1): covariances and cross_covariance are for segments",
     ),
-    (r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "sigma": 1e200}"#, "not finite or too large"),
+    (r#"{@point, "sigma": 1e200}"#, "not finite or too large"),
     // Probabilities, times, rates.
-    (
-        r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "existence": 1.01}"#,
-        "existence probability 1.01 is outside 0..=1",
-    ),
-    (
-        r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "existence": -0.01}"#,
-        "existence probability -0.01 is outside 0..=1",
-    ),
-    (r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "existence": true}"#, "line 2"),
-    (r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "rate": -1e-9}"#, "the decay rate -0.000000001 is negative"),
-    (r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "confirmed": "2026-01-01"}"#, "line 2"),
-    (
-        r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "properties": {"strength": 2}}"#,
-        "the strength 2 is outside 0..=1",
-    ),
-    (
-        r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "properties": {"contrast": -1}}"#,
-        "the contrast -1 is outside 0..=1",
-    ),
-    (
-        r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "properties": {"normal": [0, 0, 1.01]}}"#,
-        "has length 1.01, not 1",
-    ),
-    (
-        r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "properties": {"normal": [0, 0, 0]}}"#,
-        "has length 0, not 1",
-    ),
-    (
-        r#"{"id": 1, "kind": "point", "points": [[0, 0, 0]], "properties": {"family": "DICT_4X4_50"}}"#,
-        "family and code are for fiducials",
-    ),
+    (r#"{@point, "existence": 1.01}"#, "existence probability 1.01 is outside 0..=1"),
+    (r#"{@point, "existence": -0.01}"#, "existence probability -0.01 is outside 0..=1"),
+    (r#"{@point, "existence": true}"#, "line 2"),
+    (r#"{@point, "rate": -1e-9}"#, "the decay rate -0.000000001 is negative"),
+    (r#"{@point, "confirmed": "2026-01-01"}"#, "line 2"),
+    (r#"{@point, "properties": {"strength": 2}}"#, "the strength 2 is outside 0..=1"),
+    (r#"{@point, "properties": {"contrast": -1}}"#, "the contrast -1 is outside 0..=1"),
+    (r#"{@point, "properties": {"normal": [0, 0, 1.01]}}"#, "has length 1.01, not 1"),
+    (r#"{@point, "properties": {"normal": [0, 0, 0]}}"#, "has length 0, not 1"),
+    (r#"{@point, "properties": {"family": "DICT_4X4_50"}}"#, "family and code are for fiducials"),
     // Patches.
-    (r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0]]}"#, "a patch of 2 corners"),
-    (r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0], [3, 0, 0]]}"#, "the patch has no area"),
-    (
-        r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0], [1, 1, 0.1], [0, 1, 0]]}"#,
-        "off the patch's plane",
-    ),
-    (
-        r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [2, 0, 0], [0.5, 0.5, 0], [0, 2, 0]]}"#,
-        "corner 2 turns inwards",
-    ),
+    (r#"{@patch: [[0, 0, 0], [1, 0, 0]]}"#, "a patch of 2 corners"),
+    (r#"{@patch: [[0, 0, 0], [1, 0, 0], [3, 0, 0]]}"#, "the patch has no area"),
+    (r#"{@patch: [[0, 0, 0], [1, 0, 0], [1, 1, 0.1], [0, 1, 0]]}"#, "off the patch's plane"),
+    (r#"{@patch: [[0, 0, 0], [2, 0, 0], [0.5, 0.5, 0], [0, 2, 0]]}"#, "corner 2 turns inwards"),
     // Bow-ties with equal and unequal halves, and a star.
     (
-        r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]}"#,
+        r#"{@patch: [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]}"#,
         "the outline crosses itself; list each corner once, in order around the patch",
     ),
+    (r#"{@patch: [[0, 0, 7], [1, 0, 7], [0, 1, 7], [3, 1, 7]]}"#, "the outline crosses itself"),
+    (r#"{@patch: [[0, 0, 0], [1, 0, 0], [2, 1, 0], [2, 0, 0], [0, 1, 0]]}"#, "the outline crosses itself"),
+    (r#"{@patch: [[0, 0, 0], [0, 0, 1e300], [0, 0, 1]]}"#, "point 1 is [0, 0, 1e300]"),
+    (r#"{@patch: [[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0]]}"#, "corner 2 repeats the one before"),
+    (r#"{@patch: [@square, @square]}"#, "the outline winds more than once"),
     (
-        r#"{"id": 1, "kind": "patch", "points": [[0, 0, 7], [1, 0, 7], [0, 1, 7], [3, 1, 7]]}"#,
-        "the outline crosses itself",
-    ),
-    (
-        r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0], [2, 1, 0], [2, 0, 0], [0, 1, 0]]}"#,
-        "the outline crosses itself",
-    ),
-    (r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [0, 0, 1e300], [0, 0, 1]]}"#, "point 1 is [0, 0, 1e300]"),
-    (
-        r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0]]}"#,
-        "corner 2 repeats the one before",
-    ),
-    (
-        r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]}"#,
-        "the outline winds more than once",
-    ),
-    (
-        r#"{"id": 1, "kind": "patch", "points": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "properties": {"normal": [0, 1, 0]}}"#,
+        r#"{@patch: [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "properties": {"normal": [0, 1, 0]}}"#,
         "the normal is 90.0 degrees off",
     ),
     // Fiducials.
+    (r#"{@fiducial}"#, "a fiducial needs its family and code"),
     (
-        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]]}"#,
-        "a fiducial needs its family and code",
-    ),
-    (
-        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0]], "properties": {"family": "x", "code": 1}}"#,
+        r#"{@marker: [[0, 0, 1], [1, 0, 1], [1, 0, 0]], "properties": {"family": "x", "code": 1}}"#,
         "3 points, but this kind has 4",
     ),
     (
-        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [2, 0, 1], [2, 0, 0], [0, 0, 0]], "properties": {"family": "x", "code": 1}}"#,
+        r#"{@marker: [[0, 0, 1], [2, 0, 1], [2, 0, 0], [0, 0, 0]], "properties": {"family": "x", "code": 1}}"#,
         "do not form a square",
     ),
     (
-        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 0], [1, 0, 1], [0, 0, 0]], "properties": {"family": "x", "code": 1}}"#,
+        r#"{@marker: [[0, 0, 1], [1, 0, 0], [1, 0, 1], [0, 0, 0]], "properties": {"family": "x", "code": 1}}"#,
         "do not form a square",
     ),
+    (r#"{@fiducial, "properties": {"family": "DICT_4X4_50", "code": 50}}"#, "code 50 is not below 50"),
     (
-        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "DICT_4X4_50", "code": 50}}"#,
-        "code 50 is not below 50",
-    ),
-    (
-        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "DICT_8X8_50", "code": 1}}"#,
+        r#"{@fiducial, "properties": {"family": "DICT_8X8_50", "code": 1}}"#,
         "(id 1): family \"DICT_8X8_50\": OpenCV has no such dictionary",
     ),
+    (r#"{@fiducial, "properties": {"family": "apriltag 36h11", "code": 1}}"#, "OpenCV has no such dictionary"),
+    (r#"{@fiducial, "properties": {"family": "", "code": 1}}"#, "family \"\""),
     (
-        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "apriltag 36h11", "code": 1}}"#,
-        "OpenCV has no such dictionary",
-    ),
-    (
-        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "", "code": 1}}"#,
-        "family \"\"",
-    ),
-    (
-        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "x", "code": 1, "normal": [0, 1, 0]}}"#,
+        r#"{@fiducial, "properties": {"family": "x", "code": 1, "normal": [0, 1, 0]}}"#,
         "the normal is 180.0 degrees off",
     ),
     // Several entries.
@@ -182,6 +122,16 @@ const FEATURES: &[(&str, &str)] = &[
     (r#"{"id": 0, "remove": true}"#, "id 0 is nothing"),
     (r#"{"id": 7, "remove": 1}"#, "line 2"),
     (r#"{"id": 7, "remove": false}"#, "kind is missing"),
+];
+
+/// Short names for parts of features.
+const SHORT: [(&str, &str); 6] = [
+    ("@point", r#""id": 1, "kind": "point", "points": [[0, 0, 0]]"#),
+    ("@segment", r#""id": 1, "kind": "segment", "points": [[0, 0, 0], [0, 0, 1]]"#),
+    ("@fiducial", r#""id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]]"#),
+    ("@patch", r#""id": 1, "kind": "patch", "points""#),
+    ("@marker", r#""id": 1, "kind": "fiducial", "points""#),
+    ("@square", r#"[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]"#),
 ];
 
 /// A part of the sound file, its replacement, and a text that the error must contain.
@@ -211,6 +161,7 @@ const FILES: &[(&str, &str, &str)] = &[
 #[test]
 fn each_bad_feature_is_named() {
     for (feature, says) in FEATURES {
+        let feature = &SHORT.iter().fold((*feature).to_owned(), |text, (short, long)| text.replace(short, long));
         let text = file_with(feature);
         let error = parse(&text).map(|file| panic!("accepted: {feature}: {file:?}")).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Invalid, "{feature}");

@@ -160,7 +160,8 @@ fn wrong_types_and_ranges_do_not_fit() {
         point(r#", "properties": {"strength": 2}"#),
         point(r#", "properties": {"normal": [1, 0]}"#),
         point(r#", "properties": {"family": "x", "code": 1}"#),
-        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "properties": {"family": "x", "code": 1}}"#.to_owned(),
+        r#"{"id": 1, "kind": "fiducial", "points": [[0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 0, 0]], "#.to_owned()
+            + r#""properties": {"family": "x", "code": 1}}"#,
         point(r#", "properties": {"direction": 1}"#),
         point(r#", "colour": "red""#),
         // Lists of values in the order of the keys are not objects.

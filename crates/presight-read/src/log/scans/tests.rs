@@ -11,8 +11,8 @@ fn images_of_ranges_are_frames() {
         let mut images = Images::default();
         images.prepare(361, 1, Outputs::of(outputs));
         images.range.fill(2.5);
-        let world_from_sensor = Some(Pose::from_xyz_rpy(DVec3::X, 0.0, 0.0, 0.5));
-        let attributes = ExrAttributes { sensor, world_from_sensor, ..Default::default() };
+        let pose = Some(SensorPose::from_xyz_rpy(DVec3::X, 0.0, 0.0, 0.5));
+        let attributes = ExrAttributes { sensor, pose, ..Default::default() };
         write_exr(&folder.path().join(name), &images, Outputs::ALL, &attributes).unwrap();
     };
     let text = || Some(sensor_toml::to_string(sensor.spec()));
@@ -21,16 +21,16 @@ fn images_of_ranges_are_frames() {
     let frames: Vec<Observation> = Scans::open(folder.path(), None).unwrap().map(Result::unwrap).collect();
     assert_eq!(frames.iter().map(|o| o.frame.stamp).collect::<Vec<_>>(), [9.0, 10.0]);
     assert_eq!(frames[0].frame.sensor().spec().geometry, sensor.spec().geometry);
-    assert_eq!(frames[0].reference.unwrap().translation, DVec3::X);
+    assert_eq!(frames[0].reference.unwrap().world_from_robot().translation, DVec3::X);
     assert_eq!(frames[0].frame.ranges()[7], 2.5);
     write("11.exr", &[Output::Range], None);
-    let told = |sensor: Option<&Sensor>| {
+    let outcome = |sensor: Option<&Sensor>| {
         let mut scans = Scans::open(&folder.path().join("11.exr"), sensor).unwrap();
         scans.next().unwrap().map(drop).map_err(|e| e.to_string())
     };
-    assert!(told(None).unwrap_err().contains("which sensor"));
-    assert!(told(Some(&sensor)).is_ok());
-    assert!(told(Some(&crate::preset("laser-range-camera").unwrap())).unwrap_err().contains("361 x 1"));
+    assert!(outcome(None).unwrap_err().contains("sensor that measured"));
+    assert!(outcome(Some(&sensor)).is_ok());
+    assert!(outcome(Some(&crate::preset("laser-range-camera").unwrap())).unwrap_err().contains("361 x 1"));
     write("12.exr", &[Output::Echo], text());
     let mut scans = Scans::open(folder.path(), None).unwrap();
     assert!(scans.by_ref().nth(2).unwrap().is_err() && scans.next().is_none(), "nothing after an error");
@@ -49,7 +49,7 @@ fn poses_stand_beside_the_scans() {
     let sensor = Sensor::new(spec).unwrap();
     let frames: Vec<Observation> = Scans::open(folder.path(), Some(&sensor)).unwrap().map(Result::unwrap).collect();
     assert!(frames[0].reference.is_none() && frames[0].frame.stamp == 0.0);
-    assert_eq!(frames[1].reference.unwrap().translation, DVec3::new(1.0, 2.0, 2.0), "of the robot");
+    assert_eq!(frames[1].reference.unwrap().world_from_robot().translation, DVec3::new(1.0, 2.0, 2.0), "of the robot");
     assert_eq!(frames[1].frame.sensor().spec().noise.range_sigma, 0.07);
     for wrong in [
         "[1]",

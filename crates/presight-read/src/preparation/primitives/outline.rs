@@ -1,6 +1,6 @@
 //! Outlines extruded into solids.
 
-use super::split::convex_parts;
+use super::split::{convex_parts, turn};
 use super::{Solid, length};
 use glam::{DVec2, DVec3};
 use presight_model::error::{Error, Result};
@@ -51,11 +51,6 @@ fn counter_clockwise(outline: &[DVec2]) -> Result<Vec<DVec2>> {
         outline.reverse();
     }
     Ok(outline)
-}
-
-/// Twice the signed area of a triangle; positive if it runs counter-clockwise.
-pub(super) fn turn(a: DVec2, b: DVec2, c: DVec2) -> f64 {
-    (b - a).perp_dot(c - a)
 }
 
 fn check_simple(outline: &[DVec2]) -> Result<()> {

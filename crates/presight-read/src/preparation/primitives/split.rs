@@ -1,10 +1,14 @@
 //! Splits simple polygons into convex parts: cuts off ears, then joins triangles while the union stays convex (S.
 //! Hertel, K. Mehlhorn, Fast triangulation of simple polygons, 1983: at most four times the least number of parts).
 
-use super::outline::turn;
 use glam::DVec2;
 use presight_model::error::{Error, Result};
 use presight_model::limits;
+
+/// Twice the signed area of a triangle; positive if it runs counter-clockwise.
+pub(super) fn turn(a: DVec2, b: DVec2, c: DVec2) -> f64 {
+    (b - a).perp_dot(c - a)
+}
 
 /// Convex parts of a simple counter-clockwise outline, as indices of its points, counter-clockwise. Points within
 /// straight sides stay corners, so that no corner lies within another part's side.

@@ -102,8 +102,8 @@ fn fiducial(c: &mut Call<'_, '_>) -> Result<Dynamic> {
 pub(super) const FUNCTIONS: &[Function] = &[
     Function {
         signature: "point(shape, class, at) -> shape",
-        does: "adds a point feature for a sensor class or an array of classes; it moves with the shape, and every placed \
-               object has it",
+        does: "adds a point feature for a sensor class or an array of classes; it moves with the shape, and every \
+               placed object has it",
         run: point,
     },
     Function {
@@ -120,8 +120,8 @@ pub(super) const FUNCTIONS: &[Function] = &[
     Function { signature: "reflector(shape, class, at, options) -> shape", does: "with options", run: reflector },
     Function {
         signature: "fiducial(shape, class, pose, side, family, code) -> shape",
-        does: "adds a square marker centred on the pose's origin; it faces +x, its top is +z; `family` is OpenCV's name of \
-               the dictionary",
+        does: "adds a square marker centred on the pose's origin; it faces +x, its top is +z; `family` is OpenCV's name \
+               of the dictionary",
         run: fiducial,
     },
     Function {

@@ -84,7 +84,8 @@ pub(super) const FUNCTIONS: &[Function] = &[
     },
     Function {
         signature: "add(assembly, name, thing) -> ()",
-        does: "adds a shape or an assembly as a named part; if the assembly is in an array or a map, write `a[0].add(..)`",
+        does: "adds a shape or an assembly as a named part; if the assembly is in an array or a map, write \
+               `a[0].add(..)`",
         run: add,
     },
     Function { signature: "add(assembly, name, thing, pose) -> ()", does: "adds it at a pose", run: add },

@@ -174,7 +174,7 @@ mod tests {
     use super::*;
     use glam::{DMat3, DVec2};
     use presight_localize::matching::{Detection, Shape};
-    use presight_model::geometry::PoseCovariance;
+    use presight_model::geometry::{PoseCovariance, RobotPose};
     use presight_model::measured::Measurement;
     use presight_model::sensor::Sensor;
     use presight_model::world::World;
@@ -199,7 +199,7 @@ mod tests {
             predicted: Shape::Point(DVec2::ZERO),
             class,
         };
-        let pose = PoseEstimate::new(Pose::IDENTITY, PoseCovariance::from_sigmas([0.001; 6]));
+        let pose = PoseEstimate::new(RobotPose::IDENTITY, PoseCovariance::from_sigmas([0.001; 6]));
         let of = |classes: &[FeatureClass]| {
             let features = (1..).zip(classes).map(|(id, class)| finding(id, *class)).collect();
             let detections = vec![Detection::point(DVec2::ZERO, 0.5)];

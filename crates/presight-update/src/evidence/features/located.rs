@@ -240,7 +240,7 @@ pub(crate) fn located(feature: &Feature, sums: &Offsets, (before, now): (&Pose, 
 mod tests {
     use super::*;
     use presight_model::environment::{Existence, Properties};
-    use presight_model::geometry::PoseCovariance;
+    use presight_model::geometry::{PoseCovariance, RobotPose};
     use presight_model::sensor::{Camera, Geometry, SensorSpec};
 
     fn feature(shape: FeatureShape) -> Feature {
@@ -294,7 +294,7 @@ mod tests {
     fn an_image_measures_offsets_across_its_rays() {
         let camera = Camera::pinhole(160, 120, 100.0, 100.0, 79.5, 59.5);
         let sensor = Sensor::new(SensorSpec::new("camera", "grey", Geometry::Camera(camera))).unwrap();
-        let pose = PoseEstimate::new(Pose::IDENTITY, PoseCovariance::from_sigmas([1e-6; 6]));
+        let pose = PoseEstimate::new(RobotPose::IDENTITY, PoseCovariance::from_sigmas([1e-6; 6]));
         let sensor = SensorAtPose::new(&sensor, &pose);
         let p = DVec3::new(2.0, 0.0, 0.0);
         let found = Detection::point(DVec2::new(80.5, 59.5), 0.5);

@@ -1,4 +1,4 @@
-//! Runs every command of docs/first-hour.md in order in an empty folder.
+//! Runs every command of docs/tour.md and docs/first-hour.md, in order, in an empty folder.
 
 use super::{Place, python};
 use std::path::Path;
@@ -17,14 +17,17 @@ fn blocks(page: &str) -> Vec<(&str, String)> {
     blocks
 }
 
-/// Returns the first block that fails, with its output.
-fn first_failure(python: &Path, page: &str) -> Option<String> {
-    let place = Place::new();
+fn guide(name: &str) -> String {
+    std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs").join(name)).unwrap()
+}
+
+/// Returns the first block that fails, with its output. `python` runs the blocks of that language.
+fn first_failure(place: &Place, python: &Path, page: &str) -> Option<String> {
     let mut printed = String::new();
-    let folders = [Path::new(env!("CARGO_BIN_EXE_presight")).parent().unwrap(), python.parent().unwrap()];
+    let command = Path::new(env!("CARGO_BIN_EXE_presight"));
     let path = std::env::var_os("PATH").unwrap_or_default();
-    let path =
-        std::env::join_paths(folders.into_iter().map(Path::to_owned).chain(std::env::split_paths(&path))).unwrap();
+    let folders = [command, python].map(|program| program.parent().unwrap().to_owned());
+    let path = std::env::join_paths(folders.into_iter().chain(std::env::split_paths(&path))).unwrap();
     for (language, code) in blocks(page) {
         let mut command = match language {
             "sh" => Command::new("bash"),
@@ -44,13 +47,24 @@ fn first_failure(python: &Path, page: &str) -> Option<String> {
     None
 }
 
+/// In a folder with the scenes, as in a clone of the repository.
+#[test]
+fn every_command_of_the_tour_runs() {
+    let page = guide("tour.md");
+    assert_eq!(blocks(&page).iter().filter(|(language, _)| *language == "sh").count(), 6);
+    let place = Place::new();
+    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes").canonicalize().unwrap();
+    std::os::unix::fs::symlink(scenes, place.path("scenes")).unwrap();
+    assert_eq!(first_failure(&place, Path::new("/usr/bin/python3"), &page), None);
+}
+
 #[test]
 fn every_command_of_the_first_hour_runs() {
     let Some(python) = python() else { return };
-    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/first-hour.md")).unwrap();
-    assert_eq!(blocks(&page).iter().filter(|(language, _)| *language == "sh").count(), 7);
-    assert_eq!(first_failure(python, &page), None);
+    let page = guide("first-hour.md");
+    assert_eq!(blocks(&page).iter().filter(|(language, _)| *language == "sh").count(), 4);
+    assert_eq!(first_failure(&Place::new(), python, &page), None);
     // Without the right sidecar the hall lies on its side, and an assertion of the page fails.
     let fallen = page.replace("up = \"z\"", "up = \"y\"");
-    assert!(first_failure(python, &fallen).is_some_and(|why| why.contains("AssertionError")));
+    assert!(first_failure(&Place::new(), python, &fallen).is_some_and(|why| why.contains("AssertionError")));
 }

@@ -1,0 +1,171 @@
+//! The serde model of a sensor file, one struct for each kind, which reads and writes it.
+
+use super::tables::{AnglesTable, DistortionTable, MountTable, NoiseTable, degrees};
+use crate::text::{FORMAT, from_text};
+use glam::{DQuat, DVec3};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::Pose;
+use presight_model::limits;
+use presight_model::printable::quoted;
+use presight_model::sensor::{Camera, Distortion, Geometry, RayTable, Scanner, SensorSpec};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Serde cannot combine `flatten` with `deny_unknown_fields`, so each kind of file repeats the common keys.
+macro_rules! sensor_file {
+    ($file:ident, $kind:literal, $class:literal { $($key:ident: $type:ty),* $(,)? }) => {
+        #[derive(Default, Deserialize, Serialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct $file {
+            format: i64,
+            kind: String,
+            name: Option<String>,
+            class: Option<String>,
+            range_min: Option<f64>,
+            range_max: Option<f64>,
+            max_incidence_deg: Option<f64>,
+            turn_s: Option<f64>,
+            $($key: $type,)*
+            mount: Option<MountTable>,
+            noise: Option<NoiseTable>,
+        }
+
+        impl $file {
+            /// The common keys of a sensor.
+            fn of_common(spec: &SensorSpec) -> Self {
+                Self {
+                    format: FORMAT,
+                    kind: $kind.to_owned(),
+                    name: Some(spec.name.clone()),
+                    class: Some(spec.class.clone()),
+                    range_min: Some(spec.range_min),
+                    range_max: Some(spec.range_max),
+                    max_incidence_deg: spec.max_incidence.map(degrees),
+                    turn_s: Some(spec.turn_s).filter(|turn| *turn != 0.0),
+                    mount: MountTable::of(&spec.mount),
+                    noise: NoiseTable::of(&spec.noise),
+                    ..Self::default()
+                }
+            }
+
+            fn common(&self, name: &str, geometry: Geometry) -> Result<SensorSpec> {
+                let (name, class) = (self.name.as_deref().unwrap_or(name), self.class.as_deref().unwrap_or($class));
+                let mut spec = SensorSpec::new(name, class, geometry);
+                spec.range_min = self.range_min.unwrap_or(0.0);
+                spec.range_max = self.range_max.unwrap_or(f64::INFINITY);
+                spec.turn_s = self.turn_s.unwrap_or(0.0);
+                spec.max_incidence = self.max_incidence_deg.map(f64::to_radians);
+                spec.mount = self.mount.as_ref().map_or(Ok(Pose::IDENTITY), |m| m.pose().map_err(|e| e.at("[mount]")))?;
+                spec.noise = self.noise.as_ref().map(NoiseTable::noise).unwrap_or_default();
+                Ok(spec)
+            }
+        }
+    };
+}
+
+sensor_file!(CameraFile, "camera", "video" {
+    width: u32,
+    height: u32,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    optical_from_image: Option<[f64; 4]>,
+    distortion: Option<DistortionTable>,
+});
+
+sensor_file!(ScannerFile, "scanner", "laser" {
+    beam_height_deg: Option<f64>,
+    azimuth: AnglesTable,
+    elevation: AnglesTable,
+});
+
+sensor_file!(RaysFile, "rays", "laser" {
+    width: u32,
+    height: u32,
+    directions: Option<Vec<[f64; 3]>>,
+    file: Option<String>,
+});
+
+impl CameraFile {
+    pub fn of(camera: &Camera, spec: &SensorSpec) -> Self {
+        let &Camera { width, height, fx, fy, cx, cy, ref distortion } = camera;
+        let turn = Some(spec.optical_from_image).filter(|turn| *turn != DQuat::IDENTITY);
+        let optical_from_image = turn.map(|turn| turn.to_array());
+        let distortion = DistortionTable::of(distortion);
+        Self { width, height, fx, fy, cx, cy, optical_from_image, distortion, ..Self::of_common(spec) }
+    }
+
+    pub fn spec(self, name: &str) -> Result<SensorSpec> {
+        let distortion = self.distortion.as_ref().map_or(Ok(Distortion::None), DistortionTable::distortion);
+        let distortion = distortion.map_err(|e| e.at("[distortion]"))?;
+        let Self { width, height, fx, fy, cx, cy, .. } = self;
+        let mut spec = self.common(name, Geometry::Camera(Camera { width, height, fx, fy, cx, cy, distortion }))?;
+        if let Some(turn) = self.optical_from_image {
+            let turn = MountTable::of_rotation(turn).pose();
+            spec.optical_from_image = turn.map_err(|e| e.at("optical_from_image"))?.rotation;
+        }
+        Ok(spec)
+    }
+}
+
+impl ScannerFile {
+    pub fn of(scanner: &Scanner, spec: &SensorSpec) -> Self {
+        let Scanner { azimuth, elevation, beam_height_deg } = scanner;
+        let (azimuth, elevation) = (AnglesTable::of(azimuth), AnglesTable::of(elevation));
+        Self { beam_height_deg: *beam_height_deg, azimuth, elevation, ..Self::of_common(spec) }
+    }
+
+    pub fn spec(self, name: &str) -> Result<SensorSpec> {
+        let azimuth = self.azimuth.angles().map_err(|e| e.at("[azimuth]"))?;
+        let elevation = self.elevation.angles().map_err(|e| e.at("[elevation]"))?;
+        let scanner = Scanner { azimuth, elevation, beam_height_deg: self.beam_height_deg };
+        self.common(name, Geometry::Scanner(scanner))
+    }
+}
+
+impl RaysFile {
+    pub fn of(table: &RayTable, spec: &SensorSpec) -> Self {
+        let directions = Some(table.directions().iter().map(DVec3::to_array).collect());
+        Self { width: table.width(), height: table.height(), directions, ..Self::of_common(spec) }
+    }
+
+    pub fn spec(mut self, name: &str, folder: Option<&Path>) -> Result<SensorSpec> {
+        let directions = match (self.directions.take(), &self.file) {
+            (Some(inline), None) => inline.into_iter().map(DVec3::from_array).collect(),
+            (None, Some(file)) => from_text(&folder.unwrap_or(Path::new("")).join(file), parse_directions)?,
+            _ => {
+                return Err(Error::invalid(
+                    "a ray table needs either directions or file",
+                    "give directions = [[x, y, z], ..] or file = \"X.csv\"",
+                ));
+            }
+        };
+        let table = RayTable::new(self.width, self.height, directions)?;
+        self.common(name, Geometry::Rays(table))
+    }
+}
+
+/// Parses directions `x,y,z`, one per line; skips empty lines and lines that start with `#`.
+fn parse_directions(text: &str) -> Result<Vec<DVec3>> {
+    let mut directions = Vec::new();
+    for (i, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let numbers: Option<Vec<f64>> = line.split(',').map(|n| n.trim().parse().ok()).collect();
+        let Some(&[x, y, z]) = numbers.as_deref() else {
+            return Err(Error::invalid(
+                format!("{} is not a direction", quoted(line)),
+                "write x,y,z (nan,nan,nan for no ray)",
+            )
+            .at(format!("line {}", i + 1)));
+        };
+        directions.push(DVec3::new(x, y, z));
+        if directions.len() as u64 > limits::MAX_PIXELS {
+            return Err(Error::invalid("too many directions", format!("give at most {}", limits::MAX_PIXELS)));
+        }
+    }
+    Ok(directions)
+}
