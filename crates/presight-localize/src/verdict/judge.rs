@@ -11,69 +11,24 @@ use presight_model::sensor::Sensor;
 use presight_model::threads::parallel_or_here;
 use rayon::prelude::*;
 
-<<<<<<< HEAD
 presight_model::words! {
-    /// What one measured pixel says of the prediction.
+    /// The result of comparing a measured pixel with its prediction.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
     pub enum Verdict {
-        /// What was predicted is there.
+        /// The measurement agrees with the predicted surface.
         Confirmed = "confirmed",
-        /// Something unknown stands before it.
+        /// An unknown object is in front of the predicted surface.
         Nearer = "nearer",
-        /// The ray passed through what should be there.
+        /// The ray passed through the predicted surface.
         Farther = "farther",
-        /// Something was predicted, and nothing was measured.
+        /// A surface was predicted, but the pixel has no measurement.
         NoReturn = "no_return",
-        /// Nothing was predicted within the sensor's reach, and nothing is there.
+        /// Neither the prediction nor the measurement has a surface within the sensor's range.
         Beyond = "beyond",
         /// An edge, or another surface within the uncertainty of the pixel, explains the measurement as well.
         Undecidable = "undecidable",
-        /// Nothing was predicted that the measurement could be compared with.
+        /// There is no prediction to compare with the measurement.
         NotPredicted = "not_predicted",
-=======
-/// The result of comparing a measured pixel with its prediction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Verdict {
-    /// The measurement agrees with the predicted surface.
-    Confirmed,
-    /// An unknown object is in front of the predicted surface.
-    Nearer,
-    /// The ray passed through the predicted surface.
-    Farther,
-    /// A surface was predicted, but the pixel has no measurement.
-    NoReturn,
-    /// Neither the prediction nor the measurement has a surface within the sensor's range.
-    Beyond,
-    /// An edge, or another surface within the uncertainty of the pixel, explains the measurement as well.
-    Undecidable,
-    /// There is no prediction to compare with the measurement.
-    NotPredicted,
-}
-
-impl Verdict {
-    /// All of them, in the order of [`Verdicts::counts`].
-    pub const ALL: [Self; 7] = [
-        Self::Confirmed,
-        Self::Nearer,
-        Self::Farther,
-        Self::NoReturn,
-        Self::Beyond,
-        Self::Undecidable,
-        Self::NotPredicted,
-    ];
-
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Confirmed => "confirmed",
-            Self::Nearer => "nearer",
-            Self::Farther => "farther",
-            Self::NoReturn => "no_return",
-            Self::Beyond => "beyond",
-            Self::Undecidable => "undecidable",
-            Self::NotPredicted => "not_predicted",
-        }
->>>>>>> main
     }
 }
 
