@@ -1,4 +1,5 @@
-//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.2, Fig. 10).
+//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.2,
+//! Fig. 10).
 //!
 //! The errors of the sensor's pose, the object's pose and the feature form one standard normal vector, mapped through
 //! square roots of their covariances (`errors`). The feature passes a side of the box when a linear function of that
@@ -31,7 +32,7 @@ pub use exceedance::Level;
 pub use image_point::differences;
 
 // Constants that the shader shares.
-pub use exceedance::{EVENTS, MOST};
+pub use exceedance::{EVENTS, MAX_POINTS};
 pub use {
     errors::{ERRORS, KIND},
     image_point::MARGIN,
@@ -45,25 +46,16 @@ use image_point::{ImagePoint, PointDerivatives, dot, rough, see};
 use linear::{bent_bounds, linear_bounds};
 use set::set_bounds;
 
-/// Method by which a box was found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RoiFlag {
-    /// The derivative of the projection propagated the errors.
-    Linear,
-    /// The projection is not linear over the errors, so samples of the errors were projected.
-    Set,
-    /// The feature may be behind the sensor, or anywhere in over half of the image.
-    WholeImage,
-}
-
-impl RoiFlag {
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Linear => "linear",
-            Self::Set => "set",
-            Self::WholeImage => "whole_image",
-        }
+presight_model::words! {
+    /// Method by which a box was found.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum RoiFlag {
+        /// The derivative of the projection propagated the errors.
+        Linear = "linear",
+        /// The projection is not linear over the errors, so samples of the errors were projected.
+        Set = "set",
+        /// The feature may be behind the sensor, or anywhere in over half of the image.
+        WholeImage = "whole_image",
     }
 }
 
