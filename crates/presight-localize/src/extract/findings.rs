@@ -1,11 +1,12 @@
 //! Processes a whole frame: searches each predicted feature in its region, matches and classifies it.
 
-use super::classes::unmatched;
+use super::classes::{FeatureClass, classify, unmatched, verdicts_along};
+use super::corners::{CornerOptions, corners_in};
+use super::edges::{EdgeOptions, ExpectedEdge, edges_near};
+use super::jumps::{JumpOptions, jumps_near};
+use super::reflectors::{ReflectorOptions, range_to, reflectors_in};
+use super::region::PixelBox;
 use super::tags::{is_sought, tags_in};
-use super::{
-    CornerOptions, EdgeOptions, ExpectedEdge, FeatureClass, JumpOptions, PixelBox, ReflectorOptions, classify,
-    corners_in, edges_near, jumps_near, range_to, reflectors_in, verdicts_along,
-};
 use crate::matching::{Detection, ExpectedFeature, ExpectedProperties, Marker, Matcher, Shape, UncertainValue, unwrap};
 use crate::verdict::{Verdict, Verdicts};
 use glam::{DMat2, DMat3, DVec2, DVec3};

@@ -195,3 +195,16 @@ pub struct ExpectedProperties {
     /// Metres along the ray.
     pub range: Option<UncertainValue>,
 }
+
+/// A feature that may be detected.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExpectedFeature {
+    /// Most likely position.
+    pub shape: Shape,
+    /// Covariance of each defining point without the noise of the detection, pixels squared.
+    pub covariances: Vec<DMat2>,
+    /// Search window: x0, y0, x1, y1. Detections outside are not candidates, but segments only have to cross it.
+    pub window: [f64; 4],
+    /// Expected properties.
+    pub properties: ExpectedProperties,
+}
