@@ -192,7 +192,8 @@ pub fn sweep() -> Vec<(Scheme, Params)> {
 /// Formats rows as CSV. The first columns, up to prediction_ms, are stable for scripts.
 pub fn to_csv(rows: &[Row], poses: usize, seed: Option<u64>) -> String {
     let mut text = String::from(
-        "scheme,query,poses,seed,build_ms,bytes,access_us,needed,returned,selectivity,prediction_ms,cell_polygons,least_cell,split_axis,filter\n",
+        "scheme,query,poses,seed,build_ms,bytes,access_us,needed,returned,selectivity,prediction_ms,\
+         cell_polygons,least_cell,split_axis,filter\n",
     );
     let seed = seed.map(|s| s.to_string()).unwrap_or_default();
     for r in rows {

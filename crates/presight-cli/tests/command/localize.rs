@@ -194,7 +194,9 @@ fn a_drive_is_drawn() {
     }
     assert_eq!(leaves[7]["state"], "tracking");
     // The map is exact, and the page shows the deviation learnt from it.
-    assert!(leaves[7]["model_sigma"].as_f64().unwrap() < 0.003 && html.contains("surfaces of the map count as off by"));
+    assert!(
+        leaves[7]["model_sigma"].as_f64().unwrap() < 0.003 && html.contains("standard deviation of the map's surfaces")
+    );
     // Features are drawn only on request.
     let made = place.run("features room.glb --class laser --out edges.layer.json");
     assert_eq!(made.status, Some(0), "{}", made.stderr);

@@ -4,8 +4,8 @@ use super::view::{View, Views};
 use glam::DVec2;
 use presight_model::statistics::median;
 
-/// Points are sparse if a square of this side, in units of the detail, holds less than one point of all views together: cubes
-/// of the size of the detail would have no neighbours.
+/// Points are sparse if a square of this side, in units of the detail, holds less than one point of all views together:
+/// cubes of the size of the detail would have no neighbours.
 const SPARSE: f64 = 4.0;
 
 /// True if the points of all views are too far apart for surfels of this size, metres.

@@ -237,8 +237,8 @@ impl View {
         (u >= 0.0 && v >= 0.0 && u < width as f32 && v < height as f32).then(|| v as usize * width + u as usize)
     }
 
-    /// The unit ray of the nearest pixel, as of [`Self::pixel_towards`], and its range; `None` outside the image and without a
-    /// measurement.
+    /// The unit ray of the nearest pixel, as of [`Self::pixel_towards`], and its range; `None` outside the image and
+    /// without a measurement.
     #[inline]
     pub(crate) fn towards(&self, p: Vec3) -> Option<(Vec3, f32)> {
         let pixel = self.pixel_towards(p)?;

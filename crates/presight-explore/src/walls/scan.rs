@@ -42,7 +42,7 @@ pub(crate) struct Wall {
 }
 
 impl Wall {
-    /// From the first end to the second.
+    /// The vector from the first end to the second.
     pub fn along(&self) -> DVec2 {
         self.ends[1] - self.ends[0]
     }

@@ -1,5 +1,5 @@
-//! Walls from scans: segments are trimmed by hits and passes, fitted to the rays that end on them, selected by the rays that
-//! they explain, and joined at their ends.
+//! Walls from scans: segments are trimmed by hits and passes, fitted to the rays that end on them, selected by the rays
+//! that they explain, and joined at their ends.
 
 use super::scan::{Ray, Scan, Wall};
 use super::segment;
@@ -27,8 +27,8 @@ const MIN_SINE: f64 = 0.3;
 /// Maximum number of walls in one task, which bounds the memory.
 const BATCH: usize = 64;
 
-/// The walls in the views of level scanners: at most `max`, those first that explain the most rays. `is_used` selects beams by
-/// the indices of view and beam.
+/// The walls in the views of level scanners: at most `max`, those first that explain the most rays. `is_used` selects
+/// beams by the indices of view and beam.
 ///
 /// # Errors
 /// [`presight_model::ErrorKind::Invalid`] if no wall is in sight.
@@ -117,7 +117,8 @@ fn fitted(mut walls: Vec<Wall>, rays: &[Ray]) -> Vec<Wall> {
     walls
 }
 
-/// Greedy selection of at most `max` walls by the number of rays that only the next wall explains, minus those that only it blocks.
+/// Greedy selection of at most `max` walls by the number of rays that only the next wall explains, minus those that
+/// only it blocks.
 fn selected(walls: Vec<Wall>, rays: &[Ray], max: usize) -> Vec<Wall> {
     let of = |wall: &Wall| {
         let (mut hits, mut blocked) = (Vec::new(), Vec::new());
@@ -137,7 +138,8 @@ fn selected(walls: Vec<Wall>, rays: &[Ray], max: usize) -> Vec<Wall> {
         let new = |of: &[u32], known: &[bool]| of.iter().filter(|r| !known[**r as usize]).count() as i64;
         new(&rays_of[k].0, explained) - new(&rays_of[k].1, blocked)
     };
-    // Selected walls lower the gains of others, or raise them by blocking the same rays, so an old gain is computed again.
+    // Selected walls lower the gains of others, or raise them by blocking the same rays, so an old gain is computed
+    // again.
     let mut heap: BinaryHeap<(i64, usize)> = (0..walls.len()).map(|k| (gain(k, &explained, &blocked), k)).collect();
     let mut selected = Vec::new();
     while let Some((old, k)) = heap.pop() {

@@ -7,8 +7,9 @@ use presight_model::geometry::SensorPose;
 use presight_testkit::judge::{Placed, judge, sights};
 use presight_testkit::oracle::Oracle;
 
-/// Share of the pixels of frames at which a model is off by over 5 cm, by rays without noise. A pixel is excused if its eight neighbours and
-/// itself span what the model shows, to 5 cm: an edge within a pixel. Places that fewer than three frames of `built` saw do not count.
+/// Share of the pixels of frames at which a model is off by over 5 cm, by rays without noise. A pixel is excused if its
+/// eight neighbours and itself span what the model shows, to 5 cm: an edge within a pixel. Places that fewer than three
+/// frames of `built` saw do not count.
 fn off(real: &Environment, model: &Environment, frames: &[Placed], built: &[Placed]) -> f64 {
     let origin = frames[0].1.translation;
     let (truth, model) = (Oracle::seen_by(real, origin, "laser").unwrap(), Oracle::new(model, origin).unwrap());
@@ -38,8 +39,8 @@ fn off(real: &Environment, model: &Environment, frames: &[Placed], built: &[Plac
     off as f64 / f64::from(all)
 }
 
-/// Measured: 0.27 % of the pixels show a surface that is off by over 5 cm: narrow sides of panels and covers that few pixels of the drive
-/// show, behind which the model shows the machine's box. The aim of 0 is missed.
+/// Measured: 0.27 % of the pixels show a surface that is off by over 5 cm: narrow sides of panels and covers that few
+/// pixels of the drive show, behind which the model shows the machine's box. The aim of 0 is missed.
 #[test]
 fn machines_known_as_boxes_are_corrected_and_keep_their_paths() {
     let [real, rough] = scenes();

@@ -36,8 +36,8 @@ struct Ray {
 /// Rows of the drive's lidar are 2 degrees apart. Up to this range, metres, two of them fall on a part of 0.3 m.
 const RESOLVED: f64 = 4.3;
 
-/// For each part of over 0.3 m that the rays of a drive show, as casts without noise show it, the share of these rays that a model predicts
-/// within `near` of the part, along its normal, metres. Every eighth column counts.
+/// For each part of over 0.3 m that the rays of a drive show, as casts without noise show it, the share of these rays
+/// that a model predicts within `near` of the part, along its normal, metres. Every eighth column counts.
 pub(crate) fn shares(real: &Environment, model: &Environment, frames: &[Placed], near: f64) -> Vec<f64> {
     let (truth, found, of) =
         (Oracle::new(real, DVec3::ZERO).unwrap(), Oracle::new(model, DVec3::ZERO).unwrap(), parts(real));
@@ -58,8 +58,8 @@ pub(crate) fn shares(real: &Environment, model: &Environment, frames: &[Placed],
     seen.values().filter(|rays| size(rays) > 0.3).map(share).collect()
 }
 
-/// By polygon of a model: the number of places on it, 5 cm apart, and the number of these places that are farther than `near` metres
-/// from all real surfaces.
+/// By polygon of a model: the number of places on it, 5 cm apart, and the number of these places that are farther than
+/// `near` metres from all real surfaces.
 pub(crate) fn in_free_space<'a>(
     real: &Environment,
     polygons: impl Iterator<Item = Vec<DVec3>> + 'a,

@@ -17,8 +17,8 @@ use presight_render::plan::Raster;
 use presight_render::plan::{Outputs, Stats};
 use std::fmt::Write;
 
-/// Draws a small scene with every engine of this machine and compares the images with the reference. Returns a report for
-/// people, and whether all images are right and each adapter that would be used can be opened.
+/// Draws a small scene with every engine of this machine and compares the images with the reference. Returns a report
+/// for people, and whether all images are right and each adapter that would be used can be opened.
 ///
 /// # Errors
 /// [`presight_model::ErrorKind::System`] if the threads of the CPU engine cannot be started.

@@ -4,8 +4,8 @@
 //! |---|---|---|---|
 //! | [`Scheme::Grid`] | equal squares | every cell it overlaps | paper section 2.2 |
 //! | [`Scheme::Plop`] | slices of each axis at quantiles | the cell of its centroid | Kriegel and Seeger 1988 |
-//! | [`Scheme::S2d`], [`Scheme::S3d`] | halves of halves | the leaf of its centroid | Ooi, Sacks-Davis, McDonell 1987/1991 |
-//! | [`Scheme::TwoLevel`] | a spatial-kD tree of objects over trees of their meshes | its mesh | `presight_model::index` |
+//! | [`Scheme::S2d`], [`Scheme::S3d`] | halves of halves | the leaf of its centroid | Ooi et al. 1987/1991 |
+//! | [`Scheme::TwoLevel`] | a spatial-kD tree of objects over mesh trees | its mesh | `presight_model::index` |
 
 mod cells;
 mod exact;

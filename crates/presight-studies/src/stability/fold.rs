@@ -1,8 +1,8 @@
-//! The fold of a lens with tangential or thin prism terms, which has a different radius in each direction. Computed in f64 from the
-//! model's formula, independently of the product.
+//! The fold of a lens with tangential or thin prism terms, which has a different radius in each direction. Computed in
+//! f64 from the model's formula, independently of the product.
 //!
 //! Rays are points of the plane z = 1. In each direction from the axis the model is valid as long as the symmetric part
-//! of its Jacobian is positive definite. The images of the last valid points are the outline, beyond which nothing is imaged.
+//! of its Jacobian is positive definite. The images of the last valid points are the outline, the limit of all images.
 
 use super::lens::{FARTHEST, STEP};
 

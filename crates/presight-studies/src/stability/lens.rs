@@ -39,7 +39,7 @@ pub(super) struct Exact {
     prism: [[Big; 2]; 2],
     /// Sine and cosine of tauX and of tauY.
     tilt: Option<[(Big, Big); 2]>,
-    /// Image radius of the fold, beyond which nothing is imaged; `None` without a fold or with tangential terms.
+    /// Image radius of the fold, the limit of the image; `None` without a fold or with tangential terms.
     pub fold: Option<Big>,
     /// The fold of a model with tangential terms.
     outline: Option<Outline>,

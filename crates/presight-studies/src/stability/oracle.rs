@@ -161,7 +161,7 @@ impl ExactFace {
         }
     }
 
-    /// How far a ray is inside the outline, in units of an engine's bounds: at least 1 is surely inside, below -1
+    /// Distance of a ray from the outline, in units of an engine's bounds: at least 1 is certainly inside, below -1
     /// surely outside. `span` is the error of the engine's spans, radians.
     pub fn inside(&self, sight: &PolygonOnRay, precision: Precision, span: f64) -> f64 {
         let bounds = &self.bound(precision).edges;

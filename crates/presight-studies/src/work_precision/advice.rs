@@ -1,17 +1,17 @@
 //! Recommended paths, derived from the rows.
 //!
-//! Nothing is recommended that the study's own repetitions do not separate from noise. Two paths are compared pair by pair: by
-//! their times in the same turns, or by their errors at the same features. If they were equal, each would be ahead in half
-//! of the pairs (a sign test). A path is ahead only if chance would put any of the compared paths so far ahead at most once
-//! in twenty studies.
+//! A path is recommended only if the study's own repetitions separate it from noise. Two paths are compared pair by
+//! pair: by their times in the same turns, or by their errors at the same features. If they were equal, each would be
+//! ahead in half of the pairs (a sign test). A path is ahead only if chance would put any of the compared paths so far
+//! ahead at most once in twenty studies.
 //!
-//! **Faster.** Another path replaces the default if it is as exact, ahead in time, and a tenth faster: less is not worth a
-//! setting.
+//! **Faster.** Another path replaces the default if it is as exact, ahead in time, and a tenth faster: less is not
+//! worth a setting.
 //!
-//! **More exact.** Halving the step of the samples halves the error of visible fractions and doubles the time. Any error
-//! can be bought at this price. So a path that takes longer replaces the default only if it is ahead in its errors and they
-//! fall by more than its time grows: if error times time gets smaller, by the largest and by the mean error, with the third
-//! quartile of its times against the first quartile of the other's.
+//! **More exact.** Halving the step of the samples halves the error of visible fractions and doubles the time. Any
+//! error can be bought at this price. So a path that takes longer replaces the default only if it is ahead in its
+//! errors and they fall by more than its time grows: if error times time gets smaller, by the largest and by the mean
+//! error, with the third quartile of its times against the first quartile of the other's.
 
 use super::features::RESOLUTION;
 use super::{FAULT_SHARE, Row};
@@ -25,8 +25,8 @@ const CHANCE: f64 = 0.05;
 /// A path with another polygon at more than this fraction of the pixels is never recommended.
 const MOST_OTHER: f64 = 0.1;
 
-/// A path to features is as exact as another if neither its largest nor its mean error of a visible fraction is larger by
-/// more than this. Both are sampled at different points, and so is the truth.
+/// A path to features is as exact as another if neither its largest nor its mean error of a visible fraction is larger
+/// by more than this. Both are sampled at different points, and so is the truth.
 const AS_EXACT: f64 = 1e-3;
 
 /// The minimum number of features for advice.
@@ -86,7 +86,8 @@ fn for_images(best: &Row, exact: &[&Row]) -> String {
     let (ids, time) = (ids(best.error), within(best));
     if best.default {
         return format!(
-            "take {}, which is the default: exact to rounding ({ids}) in {time}. No other exact path is clearly faster.",
+            "take {}, which is the default: exact to rounding ({ids}) in {time}. No other exact path is clearly \
+             faster.",
             name(best)
         );
     }

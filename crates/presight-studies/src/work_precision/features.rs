@@ -24,7 +24,8 @@ use presight_render::plan::Stats;
 const NEAR: f64 = 6.0;
 /// Sampling step of the truth, pixels.
 const TRUE_STEP: f64 = STEP / 8.0;
-/// Smaller errors than this share of the errors at the usual step are not known: the samples of the truth are as far apart.
+/// Smaller errors than this share of the errors at the usual step are not known: the samples of the truth are as far
+/// apart.
 pub(super) const RESOLUTION: f64 = TRUE_STEP / STEP;
 /// Smaller differences of visible fractions are rounding: lengths are summed in different orders.
 pub(super) const ROUNDING: f64 = 1e-12;

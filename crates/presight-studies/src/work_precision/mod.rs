@@ -41,9 +41,9 @@ pub struct Effort {
     /// Rounds in which the paths take turns; each path has an equal part of its runs in each round.
     pub rounds: usize,
     /// Minimum runs of each path at a pose, without warm-up runs.
-    pub least_runs: usize,
+    pub min_runs: usize,
     /// Maximum runs of each path at a pose.
-    pub most_runs: usize,
+    pub max_runs: usize,
     /// Above the minimum, a path is run until this much time is spent.
     pub patience: Duration,
     /// Maximum number of features per sensor and pose.
@@ -54,23 +54,11 @@ pub struct Effort {
 
 impl Effort {
     /// A study of less than a minute on two cores.
-    pub const QUICK: Self = Self {
-        rounds: 9,
-        least_runs: 2,
-        most_runs: 21,
-        patience: Duration::from_millis(250),
-        features: 40,
-        draws: 1_000,
-    };
+    pub const QUICK: Self =
+        Self { rounds: 9, min_runs: 2, max_runs: 21, patience: Duration::from_millis(250), features: 40, draws: 1_000 };
     /// A study with reliable times.
-    pub const FULL: Self = Self {
-        rounds: 20,
-        least_runs: 5,
-        most_runs: 200,
-        patience: Duration::from_secs(2),
-        features: 200,
-        draws: 10_000,
-    };
+    pub const FULL: Self =
+        Self { rounds: 20, min_runs: 5, max_runs: 200, patience: Duration::from_secs(2), features: 200, draws: 10_000 };
 }
 
 /// A scene with the poses of sensors.
@@ -125,8 +113,8 @@ pub struct Row {
     pub runs: usize,
     /// True for the path that a user gets by default.
     pub default: bool,
-    /// The median of each turn, milliseconds; NaN if it had no time for this path. Turns of one number of paths that were
-    /// timed together are neighbours in time.
+    /// The median of each turn, milliseconds; NaN if it had no time for this path. Turns of one number of paths that
+    /// were timed together are neighbours in time.
     #[serde(skip)]
     turns_ms: Vec<f64>,
     /// For features: the error of each, in the same order for all paths.

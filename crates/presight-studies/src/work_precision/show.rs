@@ -38,7 +38,8 @@ const KINDS: [(&str, &str); 14] = [
     ("missing_share", "fraction of the sensor's pixels that the path leaves out; its other errors are for the rest"),
     (
         "visible_fraction",
-        "largest error of a feature's visible fraction; the truth has a ray every 1/16 pixel; below 1e-12 it counts as 0",
+        "largest error of a feature's visible fraction; the truth has a ray every 1/16 pixel; below 1e-12 it is \
+         taken as 0",
     ),
     ("visible_fraction_mean", "the mean error over all features"),
     (
@@ -48,7 +49,8 @@ const KINDS: [(&str, &str); 14] = [
     ("roi_missed_worst", "the same for the worst region; its bound includes a margin for chance"),
     (
         "roi_area_share",
-        "not an error, but the cost of certainty: mean fraction of the image in a region; times of all are for 100 regions",
+        "not an error, but the cost of certainty: mean fraction of the image in a region; times of all are for 100 \
+         regions",
     ),
 ];
 

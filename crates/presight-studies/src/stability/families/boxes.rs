@@ -35,7 +35,7 @@ struct Factors {
 enum BoxMeasure {
     /// Covariances of image points, compared with J S J^T computed with a hundred digits.
     Covariance,
-    /// How often regions of interest contain random samples.
+    /// Share of random samples that regions of interest contain.
     Coverage,
 }
 

@@ -63,7 +63,7 @@ impl Family for Fold {
              part; the true fold is known to 1e-9): image coordinates of rays (engine \"sensor\"), and ranges of a \
              wall."
         } else {
-            "The same beyond the fold, where no pixel may have a ray."
+            "The family beyond the fold, where no pixel may have a ray."
         }
     }
 
