@@ -46,25 +46,16 @@ use image_point::{ImagePoint, PointDerivatives, dot, rough, see};
 use linear::{bent_bounds, linear_bounds};
 use set::set_bounds;
 
-/// Method by which a box was found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RoiFlag {
-    /// The derivative of the projection propagated the errors.
-    Linear,
-    /// The projection is not linear over the errors, so samples of the errors were projected.
-    Set,
-    /// The feature may be behind the sensor, or anywhere in over half of the image.
-    WholeImage,
-}
-
-impl RoiFlag {
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Linear => "linear",
-            Self::Set => "set",
-            Self::WholeImage => "whole_image",
-        }
+presight_model::words! {
+    /// Method by which a box was found.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum RoiFlag {
+        /// The derivative of the projection propagated the errors.
+        Linear = "linear",
+        /// The projection is not linear over the errors, so samples of the errors were projected.
+        Set = "set",
+        /// The feature may be behind the sensor, or anywhere in over half of the image.
+        WholeImage = "whole_image",
     }
 }
 
