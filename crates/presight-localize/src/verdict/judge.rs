@@ -1,7 +1,7 @@
 //! Judges each pixel.
 
-use super::ExpectedImage;
-use super::expected::{ExpectedPixel, TASK, body_from_image};
+use super::expected::{ExpectedImage, TASK, body_from_image};
+use super::pixel::ExpectedPixel;
 use super::surfaces::ObjectError;
 use glam::DVec3;
 use presight_model::geometry::{Pose, PoseEstimate};

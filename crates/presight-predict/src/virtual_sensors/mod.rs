@@ -82,7 +82,7 @@ pub struct Settings {
     pub corridor: Option<Corridor>,
 }
 
-/// The reading of a virtual sensor.
+/// The reading of a virtual sensor. Its serialized form has the keys of the guide to virtual sensors.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct VirtualReading {
     /// [`VirtualSensor::name`].
@@ -90,6 +90,7 @@ pub struct VirtualReading {
     /// The sensor's mount, x, y, z, qx, qy, qz, qw; body axes.
     pub robot_from_sensor: [f64; 7],
     /// The result.
+    #[doc(hidden)]
     #[serde(flatten)]
     pub answer: Answer,
 }
