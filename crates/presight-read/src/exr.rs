@@ -132,7 +132,7 @@ fn check_channels(header: &Header, known: &[KnownChannel]) -> Result<()> {
     if has_known {
         return Ok(());
     }
-    let what = format!("none of its channels ({}) is known", names[..names.len().min(8)].join(", "));
+    let what = format!("its channels ({}) are unknown", names[..names.len().min(8)].join(", "));
     let wanted: Vec<&str> = known.iter().map(|k| k.name.as_str()).collect();
     Err(Error::invalid(what, wanted.join(", ")).at("channels"))
 }
