@@ -54,6 +54,7 @@ impl Shape {
     }
 
     /// Checks that the coordinates are finite, that a segment has a length, and that a patch has 3 to 16 corners.
+    #[doc(hidden)]
     pub fn check(&self) -> Result<(), Rejection> {
         if !self.points().iter().all(|p| p.is_finite() && p.abs().max_element() <= MAX_PIXEL) {
             return Err(Rejection::NotFinite);
@@ -142,6 +143,7 @@ impl Detection {
     ///
     /// # Errors
     /// The reason for which the detection is rejected.
+    #[doc(hidden)]
     pub fn check(&self) -> Result<(), Rejection> {
         self.shape.check()?;
         let [a, b, c, d] = self.covariance.to_cols_array();

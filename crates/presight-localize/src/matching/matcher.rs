@@ -92,11 +92,13 @@ impl Place {
 
 impl Matcher {
     /// Cost of a feature without a detection.
+    #[doc(hidden)]
     pub fn unseen_cost(&self) -> f64 {
         -(1.0 - self.detection_probability).ln()
     }
 
     /// Returns the pairs of one kind with the detection in the window, and position and properties within the gate.
+    #[doc(hidden)]
     pub fn candidates(&self, expected: &[ExpectedFeature], found: &[Detection]) -> Candidates {
         let mut all = Candidates::default();
         let mut places = Vec::with_capacity(found.len());

@@ -81,7 +81,7 @@ pub struct Settings {
     pub corridor: Option<Corridor>,
 }
 
-/// The reading of a virtual sensor.
+/// The reading of a virtual sensor. Its serialized form has the keys of the guide to virtual sensors.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct VirtualReading {
     /// [`VirtualSensor::name`].
@@ -89,6 +89,7 @@ pub struct VirtualReading {
     /// The sensor's mount, x, y, z, qx, qy, qz, qw; body axes.
     pub robot_from_sensor: [f64; 7],
     /// The result.
+    #[doc(hidden)]
     #[serde(flatten)]
     pub answer: Answer,
 }
