@@ -75,8 +75,8 @@ mod tests {
         assert!(motion.iter().zip(back).all(|(m, b)| (m - b).abs() < 1e-12), "{back:?}");
     }
 
-    /// By hand: two residuals of 0.1 m along x, each of variance 0.01, against a prior of variance 0.01 at its own place:
-    /// two thirds of the way, with a third of the variance. Other axes stay.
+    /// By hand: two residuals of 0.1 m along x, each of variance 0.01, against a prior of variance 0.01 at its own
+    /// place: two thirds of the way, with a third of the variance. Other axes stay.
     #[test]
     fn a_step_weighs_residuals_against_the_prior() {
         let mut equations = NormalEquations::default();
