@@ -14,7 +14,7 @@
 //! error, with the third quartile of its times against the first quartile of the other's.
 
 use super::features::RESOLUTION;
-use super::{FAULT_SHARE, Row};
+use super::results::{FAULT_SHARE, Row};
 
 /// A path is clearly faster only if it takes less than this fraction of the time.
 const WORTH: f64 = 0.9;

@@ -3,10 +3,11 @@
 //! Settings: the method of propagating errors through the projection, at small to large pose errors.
 
 use super::features::Case;
+use super::how;
 use super::one::{Progress, SceneStudy};
-use super::paths::{EnginePath, PathName};
+use super::path::{EnginePath, PathName};
+use super::results::{PathNotes, Row};
 use super::timing::{TimedPath, by_turns};
-use super::{PathNotes, Row, how};
 use glam::{DMat3, DQuat, DVec3};
 use presight_features::roi::RoiFlag;
 use presight_features::{

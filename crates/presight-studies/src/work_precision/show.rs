@@ -1,6 +1,7 @@
 //! The results as CSV, JSON and an HTML page.
 
-use super::{Finding, Findings, Row, tables};
+use super::results::{Finding, Findings, Row};
+use super::tables;
 use crate::chart::{Chart, Series, Style};
 use crate::page::{Part, Section, Table, page};
 use crate::{Machine, csv_field};

@@ -1,6 +1,6 @@
 //! Tables of the page: errors and times, settings of paths, stages, and skipped stages.
 
-use super::{PathNotes, Row};
+use super::results::{PathNotes, Row};
 use crate::page::Table;
 use presight_render::plan::Omission;
 

@@ -1,7 +1,8 @@
 //! Times of paths and their stages, with warm-up, in interleaved runs.
 
-use super::paths::PathName;
-use super::{Effort, PathNotes, StageTime};
+use super::path::PathName;
+use super::results::{PathNotes, StageTime};
+use super::setup::Effort;
 use crate::median;
 use presight_model::error::Result;
 use presight_model::statistics;
