@@ -75,8 +75,8 @@ pub struct VisibleInterval {
     /// Start and end as fractions of the length in space, 0..=1, from the first defining point to the last. [0, 1] for
     /// a point. For a patch, shares of its area in the image: first the visible part, then the hidden parts by reason.
     pub t: [f64; 2],
-    /// Pixel coordinates of both ends (column, row). For a patch, the bounding box of the visible part. Between the ends
-    /// of a contour's part see [`super::image_path`].
+    /// Pixel coordinates of both ends (column, row). For a patch, the bounding box of the visible part. Between the
+    /// ends of a contour's part see [`super::image_path`].
     pub pixels: [DVec2; 2],
 }
 
@@ -134,7 +134,8 @@ pub struct SeenFeature {
     /// 2 x 2 covariance in the image of every defining point, pixels squared. Present for visible features whose
     /// defining points all have an image; never for contours.
     pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
-    /// Boxes in the image that together hold the visible part of a patch. Cleared when its region of interest has been computed.
+    /// Boxes in the image that together hold the visible part of a patch. Cleared when its region of interest has been
+    /// computed.
     pub windows: Vec<[DVec2; 2]>,
 }
 

@@ -31,7 +31,7 @@ pub struct ExrFile {
     pub width: u32,
     /// Number of rows.
     pub height: u32,
-    /// Names and pixels of all channels; the known ones have the type that was asked for.
+    /// Names and pixels of all channels. A known channel has the type of [`KnownChannel`].
     pub channels: Vec<(String, FlatSamples)>,
     /// Names and values of the attributes `presight:*`, names without the prefix.
     pub texts: Vec<(String, String)>,

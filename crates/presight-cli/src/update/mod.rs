@@ -19,7 +19,7 @@ use presight::localize::Step;
 use presight::measured::Frame;
 use presight::store::ProposedChange;
 use presight::tools::write_atomically;
-use presight::update::{Action, Finding, FindingKind, Findings, LearnOptions, Learner, Policy};
+use presight::update::{Action, Finding, FindingKind, LearnOptions, Learner, Policy, SiteFindings};
 use presight::{Error, InWorld, PoseCovariance, PoseEstimate, Result, RobotPose, Scene, World};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -301,7 +301,7 @@ fn follow_known(
 }
 
 /// The world with all findings.
-fn after(world: &World, findings: &Findings) -> World {
+fn after(world: &World, findings: &SiteFindings) -> World {
     let mut after = world.clone();
     if findings.wrong.is_none() {
         // A finding that cannot be applied, such as a box at an odd place, is shown without its effect.
@@ -310,7 +310,7 @@ fn after(world: &World, findings: &Findings) -> World {
     after
 }
 
-fn summary(learner: &Learner, findings: &Findings, (before, after): (f64, f64)) -> String {
+fn summary(learner: &Learner, findings: &SiteFindings, (before, after): (f64, f64)) -> String {
     let count = |of: fn(&FindingKind) -> bool| findings.changes.iter().filter(|f| of(&f.kind)).count();
     let tally = learner.tally();
     let mut text = format!("{} frames, {} views, {} thrown away\n", tally.frames, tally.views, tally.discarded);

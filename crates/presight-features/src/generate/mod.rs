@@ -18,8 +18,10 @@ mod candidates;
 mod corners;
 mod drafts;
 mod effort;
+mod line;
 mod lines;
 mod patches;
+mod placing;
 mod scanned;
 mod smooth;
 mod solids;
@@ -30,6 +32,7 @@ use drafts::{Draft, by_place, ordered};
 use effort::Effort;
 pub use effort::Progress;
 use glam::DMat3;
+use line::Line;
 use presight_model::environment::{
     DEFAULT_TOLERANCE, Environment, Existence, Feature, FeatureLayer, FeatureShape, Properties,
 };
@@ -38,7 +41,7 @@ use presight_model::geometry::Aabb;
 use presight_model::threads::parallel;
 use rayon::prelude::*;
 use std::sync::Arc;
-use wings::{EdgeClass, EdgeClassifier, Line, Scratch};
+use wings::{EdgeClass, EdgeClassifier, Scratch};
 
 /// Kind of a generated feature. It becomes the feature's name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -273,7 +276,7 @@ fn generate_checked(
         drafts.extend(wanted.map(Draft::from));
     }
     drafts.extend(smooth.into_iter().flat_map(|s| s.drafts));
-    let drafts = drafts::on_the_surface(&soup, drafts, options.min_area, &mut counts.off, effort)?;
+    let drafts = placing::on_the_surface(&soup, drafts, options.min_area, &mut counts.off, effort)?;
     let layer = FeatureLayer {
         tolerance: (scanned::LAYER * flatness).max(DEFAULT_TOLERANCE),
         ..layer_of(environment, class, options, drafts, &mut counts)

@@ -1,4 +1,5 @@
-//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.2, Fig. 10).
+//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.2,
+//! Fig. 10).
 //!
 //! The errors of the sensor's pose, the object's pose and the feature form one standard normal vector, mapped through
 //! square roots of their covariances (`errors`). The feature passes a side of the box when a linear function of that
@@ -31,7 +32,7 @@ pub use exceedance::Level;
 pub use image_point::differences;
 
 // Constants that the shader shares.
-pub use exceedance::{EVENTS, MOST};
+pub use exceedance::{EVENTS, MAX_POINTS};
 pub use {
     errors::{ERRORS, KIND},
     image_point::MARGIN,

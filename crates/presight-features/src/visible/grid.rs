@@ -102,7 +102,7 @@ impl Grid {
         if !(most > 1.0 - CLEARLY) {
             return Some(());
         }
-        let least = self.ranges.map(|range| known.least_share(most, range, self.rounding));
+        let least = self.ranges.map(|range| known.min_share(most, range, self.rounding));
         if shares.iter().all(|share| *share > least[0].max(least[1]) * (1.0 + CLEARLY)) {
             self.by(column, rows).iter_mut().filter(|by| **by == NONE).for_each(|by| *by = known.slot);
             return Some(());

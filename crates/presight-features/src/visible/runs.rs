@@ -137,7 +137,7 @@ impl SampledSegment {
             return Some(());
         }
         let [near, far] = self.ranges;
-        let least = [near, far].map(|range| known.least_share(within[0].max(within[1]), range, self.rounding));
+        let least = [near, far].map(|range| known.min_share(within[0].max(within[1]), range, self.rounding));
         let least = least[0].max(least[1]);
         if within.iter().all(|share| *share > least * (1.0 + CLEARLY)) {
             self.by[first..end].iter_mut().filter(|by| **by == NONE).for_each(|by| *by = known.slot);

@@ -21,11 +21,11 @@ presight_model::options! {
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct FindOptions {
         /// For grey images.
-        edges: EdgeOptions = EdgeOptions { least_support: 0.7, ..EdgeOptions::default() }, with_edges;
+        edges: EdgeOptions = EdgeOptions { min_support: 0.7, ..EdgeOptions::default() }, with_edges;
         /// For grey images.
         corners: CornerOptions = CornerOptions::default(), with_corners;
         /// For range images.
-        jumps: JumpOptions = JumpOptions { least_support: 0.7, ..JumpOptions::default() }, with_jumps;
+        jumps: JumpOptions = JumpOptions { min_support: 0.7, ..JumpOptions::default() }, with_jumps;
         /// For scans with intensities.
         reflectors: ReflectorOptions = ReflectorOptions::default(), with_reflectors;
         /// Covariance of the sensor's position, world axes, metres squared, used to match reflectors by range. `None`
@@ -86,7 +86,7 @@ impl Findings {
         }
     }
 
-    /// The same findings, with a feature treated as unmatched.
+    /// A copy of the findings in which a feature counts as unmatched.
     pub fn without(&self, id: u32) -> Self {
         let mut some = self.clone();
         let own = some.features.iter_mut().filter(|f| f.id == id);

@@ -9,13 +9,13 @@ presight_model::options! {
     /// Thresholds of the depth edge detector.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct JumpOptions {
-        /// Least jump as a fraction of the nearer range. A jump must also exceed the noise and the slopes of the
+        /// Minimum jump as a fraction of the nearer range. A jump must also exceed the noise and the slopes of the
         /// surfaces.
-        least_jump: f64 = 0.03, with_least_jump;
-        /// Least fraction of the edge's length with measured jumps.
-        least_support: f64 = 0.5, with_least_support;
-        /// Most edges returned for an expected one.
-        most: usize = 3, with_most;
+        min_jump: f64 = 0.03, with_min_jump;
+        /// Minimum fraction of the edge's length with measured jumps.
+        min_support: f64 = 0.5, with_min_support;
+        /// Maximum number of edges returned for an expected one.
+        max_edges: usize = 3, with_max_edges;
     }
 }
 
@@ -45,8 +45,8 @@ pub fn jumps_near(frame: &Frame, expected: &ExpectedEdge, options: &JumpOptions)
         steps_across(&across, along, edge.reach, &noise, options, &mut steps);
     }
     let lines = LineOptions {
-        least_support: options.least_support,
-        most: options.most,
+        min_support: options.min_support,
+        max_lines: options.max_edges,
         noise: StepNoise { value: 0.0, floor: HALF_OPEN },
     };
     edge.lines_through(steps, &lines)
@@ -82,7 +82,7 @@ fn steps_across(
 ) {
     let jump = |i: usize| -> f64 {
         let (a, b) = (profile[i - 1].1, profile[i].1);
-        // Nothing within reach counts as far behind; NaN is not compared.
+        // A ray without an echo gets a range far behind all others; NaN is not compared.
         let far = |r: f64| if r == f64::INFINITY { 1e3 } else { r };
         let (a, b) = (far(a), far(b));
         let near = a.min(b);
@@ -93,9 +93,9 @@ fn steps_across(
             let pair = k.filter(|k| *k >= 1 && *k < profile.len()).map(|k| (profile[k].1 - profile[k - 1].1).abs());
             pair.filter(|s| s.is_finite()).unwrap_or(0.0)
         };
-        // The smaller slope of both sides, because next to a mixed pixel one of them is a jump too.
+        // The smaller slope of both sides, because next to a mixed pixel one of them is itself a jump.
         let goes_on = BEND * slope(i.checked_sub(1)).min(slope(Some(i + 1)));
-        let least = (options.least_jump * near).max(FAR * noise.range_sigma(near) + goes_on);
+        let least = (options.min_jump * near).max(FAR * noise.range_sigma(near) + goes_on);
         if (b - a).abs() >= least { b - a } else { 0.0 }
     };
     let mut i = 1;

@@ -2,7 +2,7 @@
 
 use glam::{DMat2, DVec2};
 
-/// Largest number of corners of an outline. Outlines are compared corner by corner, at every starting corner.
+/// Maximum number of corners of an outline. Outlines are compared corner by corner, at every starting corner.
 pub(crate) const MAX_OUTLINE: usize = 16;
 
 /// Position of a feature in pixel coordinates (column, row). The centre of the top-left pixel is (0, 0).
@@ -65,10 +65,10 @@ impl Shape {
     }
 }
 
-/// Shortest segment that has a direction, pixels.
+/// Minimum length of a segment, pixels; a shorter one has no direction.
 const SHORTEST: f64 = 1e-3;
 
-/// Largest pixel coordinate. Squared distances cannot overflow.
+/// Maximum pixel coordinate. Squared distances cannot overflow.
 const MAX_PIXEL: f64 = 1e9;
 
 /// A fiducial's identity.

@@ -7,13 +7,13 @@ use super::distance::{Distance, FoundLine, Gate, compare, turn_apart};
 use glam::{DMat2, DVec2};
 use std::f64::consts::PI;
 
-/// Largest number of candidates of one feature; the cheapest are kept. An optimum needs one per feature of a group.
+/// Maximum number of candidates of one feature; the cheapest are kept. An optimum needs one per feature of a group.
 pub const MAX_CANDIDATES: usize = 64;
 
 /// Length along a ray over which clutter is uniform, metres.
 const DEPTHS: f64 = 30.0;
-/// Smallest standard deviation of a measured range, metres. With a smaller one, the gate rejects nearly everything.
-const LEAST_DEPTH: f64 = 1e-3;
+/// Minimum standard deviation of a measured range, metres. With a smaller one, the gate rejects nearly everything.
+const MIN_DEPTH_SIGMA: f64 = 1e-3;
 
 /// A feature that may be detected.
 #[derive(Clone, Debug, PartialEq)]
@@ -206,7 +206,7 @@ impl Matcher {
 
     /// Cost of a pair; `None` outside the gate.
     fn cost(&self, feature: &ExpectedFeature, detection: &Detection, level: &Level) -> Option<f64> {
-        // Most pairs fail the position test, which is the cheapest.
+        // The position test is the cheapest and rejects the majority of pairs.
         let distance = compare(feature, detection, self.noise, self.turn, &level.gate)?;
         let alike = self.compare_properties(&feature.properties, &detection.properties)?;
         let dimensions = distance.dimensions + alike.dimensions;
@@ -249,7 +249,7 @@ impl Matcher {
             all.log_clutter = -PI.ln();
         }
         if let (Some(expected), Some(found)) = (&expected.range, &found.range) {
-            add(found.mean - expected.mean, expected.variance + found.variance + LEAST_DEPTH * LEAST_DEPTH);
+            add(found.mean - expected.mean, expected.variance + found.variance + MIN_DEPTH_SIGMA * MIN_DEPTH_SIGMA);
             all.log_clutter -= DEPTHS.ln();
         }
         all.log_volume = 0.5 * volume_squared.ln();

@@ -2,7 +2,7 @@
 //! panorama of its place.
 
 use super::RangeLikelihood;
-use super::likelihood::BeamModel;
+use super::beam_model::BeamModel;
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, SensorPose, sin_cos_deg};

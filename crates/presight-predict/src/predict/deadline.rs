@@ -1,4 +1,5 @@
-//! The parts that a prediction with a deadline gave up, the costs of predictions, and which of the fast ways are in time.
+//! The parts that a prediction with a deadline gave up, the costs of predictions, and which of the fast ways are in
+//! time.
 
 use super::{Prediction, Predictor};
 use crate::request::Request;
@@ -85,8 +86,8 @@ impl Predictor {
         })
     }
 
-    /// The cut of the world for a level scanner of one row, if it is known or due. With a deadline, the row and any new cut
-    /// must be certain to finish in time.
+    /// The cut of the world for a level scanner of one row, if it is known or due. With a deadline, the row and any new
+    /// cut must be certain to finish in time.
     pub(super) fn find_cut(&self, vantage: &Vantage<'_>, timed: Option<&DeadlineFrame>) -> Option<Arc<RowCut>> {
         let Vantage { world, sensor, world_from_sensor } = *vantage;
         if !self.may_cut() || !self.engine.draws_cuts() || !is_row(sensor) {

@@ -28,7 +28,8 @@ use std::sync::Arc;
 /// The engine that predicts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Backend {
-    /// A hardware GPU if there is one, else the CPU engine. Single predictions of one-row scanners are left to the CPU engine.
+    /// A hardware GPU if there is one, else the CPU engine. Single predictions of one-row scanners are left to the CPU
+    /// engine.
     #[default]
     Auto,
     /// The CPU engine; never loads Vulkan.
@@ -87,9 +88,9 @@ impl Options {
         Self { reuse_visible, ..self }
     }
 
-    /// Sets how the CPU engine finds what rays see, for benches and tests. [`Way::Auto`] learns from the times of a sensor's frames which
-    /// way is faster; [`Way::Counts`] does not, so that it does the same in every run. It has no effect on a GPU. With a deadline tiles
-    /// are taken only if they are surely in time.
+    /// Sets how the CPU engine finds what rays see, for benches and tests. [`Way::Auto`] learns from the times of a
+    /// sensor's frames which way is faster; [`Way::Counts`] does not, so that it does the same in every run. It has no
+    /// effect on a GPU. With a deadline tiles are taken only if they are surely in time.
     #[must_use]
     pub fn with_way(self, way: Way) -> Self {
         Self { way, ..self }
@@ -261,12 +262,14 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// The errors of [`Request::check`] and [`presight_model::geometry::Pose::check`]; [`presight_model::ErrorKind::Usage`] if features are requested but the
-    /// world has none for the sensor's class; [`presight_model::ErrorKind::Invalid`] for features of objects or polygons that are not
-    /// in the world; [`presight_model::ErrorKind::System`] if the system refuses memory or threads; [`presight_model::ErrorKind::DeviceLost`] and
-    /// [`presight_model::ErrorKind::DeviceMemory`] with [`Backend::Gpu`]; [`presight_model::ErrorKind::Deadline`] if no image can be made within
-    /// [`Request::deadline`]; [`presight_model::ErrorKind::Usage`] for a deadline of 0 or, unless the backend is [`Backend::Auto`], an
-    /// engine that cannot stop early.
+    /// The errors of [`Request::check`] and [`presight_model::geometry::Pose::check`];
+    /// [`presight_model::ErrorKind::Usage`] if features are requested but the world has none for the sensor's class;
+    /// [`presight_model::ErrorKind::Invalid`] for features of objects or polygons that are not in the world;
+    /// [`presight_model::ErrorKind::System`] if the system refuses memory or threads;
+    /// [`presight_model::ErrorKind::DeviceLost`] and [`presight_model::ErrorKind::DeviceMemory`] with [`Backend::Gpu`];
+    /// [`presight_model::ErrorKind::Deadline`] if no image can be made within [`Request::deadline`];
+    /// [`presight_model::ErrorKind::Usage`] for a deadline of 0 or, unless the backend is [`Backend::Auto`], an engine
+    /// that cannot stop early.
     pub fn predict(
         &mut self,
         world: &World,
@@ -426,8 +429,9 @@ impl Predictor {
         if self.engine.has_tiles() { self.way.choose(world, sensor) } else { ChosenWay::RASTER }
     }
 
-    /// Makes the trees that the CPU engine searches for sensors of few rays, in all of a world, rather than when predictions have been
-    /// made for a while: about 0.6 us a triangle and thread. Trees are kept with their meshes, whatever else changes in the world.
+    /// Makes the trees that the CPU engine searches for sensors of few rays, in all of a world, rather than when
+    /// predictions have been made for a while: about 0.6 us a triangle and thread. Trees are kept with their meshes,
+    /// whatever else changes in the world.
     ///
     /// ```
     /// use presight::{Options, Predictor, World, environment::Environment};

@@ -2,14 +2,14 @@
 //!
 //! | name | sensor class | delivers | in the paper's Table 1 |
 //! |---|---|---|---|
-//! | `free-floor` | `video` | [`FreeFloor`]: visible free floor, as an image mask and as polygons with holes | free motion space: free floor space |
-//! | `edges` | `video` | [`Edges`]: visible segments of the layer | localization for natural landmarks: edges |
-//! | `radar-lines` | `radar` | [`RadarLines`]: line segments in the scan plane | initial and continuous localization: line segments |
-//! | `radar-nearest` | `radar` | [`Nearest`]: nearest obstacle by direction and in a corridor | obstacle detection and free motion space supervision: distance to closest obstacle |
-//! | `radar-landmarks` | `radar` | [`Landmarks`]: positions of the visible artificial landmarks | high precision surveying: position of artificial landmarks |
-//! | `depth-image` | `laser` | [`DepthImage`]: a point for every pixel | 3D distance measurement: 3D-depth image |
+//! | `free-floor` | `video` | [`FreeFloor`]: visible free floor, as a mask and as polygons | free floor space |
+//! | `edges` | `video` | [`Edges`]: visible segments of the layer | localization: edges |
+//! | `radar-lines` | `radar` | [`RadarLines`]: line segments in the scan plane | localization: line segments |
+//! | `radar-nearest` | `radar` | [`Nearest`]: nearest obstacle by direction and in a corridor | closest obstacle |
+//! | `radar-landmarks` | `radar` | [`Landmarks`]: positions of visible artificial landmarks | surveying: landmarks |
+//! | `depth-image` | `laser` | [`DepthImage`]: a point for every pixel | 3D-depth image |
 //! | `vertical-planes` | `laser` | [`VerticalPlanes`]: connected regions of vertical planes | localization: vertical planes |
-//! | `docking` | `laser` | [`Docking`]: visible landmarks, and how well they fix the pose | high precision relative localization for docking: artificial landmarks |
+//! | `docking` | `laser` | [`Docking`]: visible landmarks, and how well they fix the pose | docking: landmarks |
 //!
 //! Each virtual sensor states its request ([`VirtualSensor::class`], [`VirtualSensor::outputs`], and the feature filter
 //! [`VirtualSensor::wants`]). Its pure function [`VirtualSensor::reduce`] takes a view, which is a prediction or a
@@ -280,7 +280,7 @@ fn scan_row(scanner: &Scanner) -> Option<u32> {
 impl VirtualReading {
     /// A one-line summary for people.
     pub fn summary(&self) -> String {
-        let told = match &self.answer {
+        let summary = match &self.answer {
             Answer::FreeFloor(a) => a.summary(),
             Answer::Edges(a) => a.summary(),
             Answer::RadarLines(a) => a.summary(),
@@ -290,7 +290,7 @@ impl VirtualReading {
             Answer::VerticalPlanes(a) => a.summary(),
             Answer::Docking(a) => a.summary(),
         };
-        format!("{}: {told}", self.name)
+        format!("{}: {summary}", self.name)
     }
 
     /// The pixels marked in the image, if this virtual sensor marks pixels.

@@ -11,8 +11,8 @@ use presight_model::error::Result;
 use presight_model::sensor::Geometry;
 use serde::Serialize;
 
-/// Maximum distance of one line's ends from another line for both to be merged, metres. Their normals must also differ by
-/// less than half a degree.
+/// Maximum distance of one line's ends from another line for both to be merged, metres. Their normals must also differ
+/// by less than half a degree.
 pub const COLLINEAR: f64 = 1e-3;
 
 /// Line segments in the scan plane.

@@ -11,6 +11,9 @@ use std::collections::HashMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+/// The remedy for a model whose parts do not fit each other.
+pub(super) const REPAIR: &str = "repair the model or export it again";
+
 /// All buffers of a scene file.
 #[derive(Default)]
 pub(super) struct Buffers<'a> {
@@ -49,7 +52,7 @@ impl<'a> Buffers<'a> {
     pub fn get(&self, index: usize) -> Result<&[u8]> {
         let Some(&(source, length)) = self.buffers.get(index) else {
             let what = format!("buffer {index} does not exist, there are {}", self.buffers.len());
-            return Err(Error::invalid(what, "repair the model or export it again"));
+            return Err(Error::invalid(what, REPAIR));
         };
         let remedy = "the file is truncated or broken; export it again";
         let whole = self.whole(source).ok_or_else(|| Error::invalid("it has no data", remedy));

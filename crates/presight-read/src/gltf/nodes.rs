@@ -1,5 +1,6 @@
 //! The node hierarchy, read and composed in f64. In f32, UTM coordinates would lose precision.
 
+use super::buffers::REPAIR;
 use super::exact::RootPlacement;
 use super::extensions::is_known;
 use super::memory::Memory;
@@ -11,7 +12,6 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 use std::collections::{BTreeMap, BTreeSet};
 
-const REPAIR: &str = "repair the model or export it again";
 /// The parent of a root.
 const NONE: usize = usize::MAX;
 
