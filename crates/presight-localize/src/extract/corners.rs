@@ -4,7 +4,7 @@
 //! Harris and M. Stephens 1988, J. Shi and C. Tomasi 1994). The corner is the point nearest to all edge lines through
 //! the surrounding pixels (W. Förstner and E. Gülch 1987), with the covariance of this least-squares problem.
 
-use super::PixelBox;
+use super::region::PixelBox;
 use crate::matching::Detection;
 use glam::{DMat2, DVec2};
 use presight_model::measured::GreyImage;

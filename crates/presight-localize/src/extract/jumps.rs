@@ -1,7 +1,7 @@
 //! Depth edges in range images, where neighbouring pixels measure surfaces one behind the other.
 
-use super::lines::{EdgeFrame, LineOptions, Step, StepNoise};
-use super::{ExpectedEdge, FoundEdge};
+use super::edges::ExpectedEdge;
+use super::lines::{EdgeFrame, FoundEdge, LineOptions, Step, StepNoise};
 use glam::DVec2;
 use presight_model::measured::{Frame, RangeNoise};
 

@@ -1,6 +1,6 @@
 //! Retro-reflectors in scans: echoes far brighter than from any wall.
 
-use super::PixelBox;
+use super::region::PixelBox;
 use crate::matching::{Detection, Shape, UncertainValue};
 use glam::{DMat2, DVec2};
 use presight_model::error::{Error, Result};

@@ -53,6 +53,7 @@ impl Shape {
     }
 
     /// Checks that the coordinates are finite, that a segment has a length, and that a patch has 3 to 16 corners.
+    #[doc(hidden)]
     pub fn check(&self) -> Result<(), Rejection> {
         if !self.points().iter().all(|p| p.is_finite() && p.abs().max_element() <= MAX_PIXEL) {
             return Err(Rejection::NotFinite);
@@ -141,6 +142,7 @@ impl Detection {
     ///
     /// # Errors
     /// The reason for which the detection is rejected.
+    #[doc(hidden)]
     pub fn check(&self) -> Result<(), Rejection> {
         self.shape.check()?;
         let [a, b, c, d] = self.covariance.to_cols_array();
@@ -192,4 +194,17 @@ pub struct ExpectedProperties {
     pub marker: Option<Marker>,
     /// Metres along the ray.
     pub range: Option<UncertainValue>,
+}
+
+/// A feature that may be detected.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExpectedFeature {
+    /// Most likely position.
+    pub shape: Shape,
+    /// Covariance of each defining point without the noise of the detection, pixels squared.
+    pub covariances: Vec<DMat2>,
+    /// Search window: x0, y0, x1, y1. Detections outside are not candidates, but segments only have to cross it.
+    pub window: [f64; 4],
+    /// Expected properties.
+    pub properties: ExpectedProperties,
 }

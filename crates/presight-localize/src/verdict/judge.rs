@@ -1,7 +1,7 @@
 //! Judges each pixel.
 
-use super::ExpectedImage;
-use super::expected::{ExpectedPixel, TASK, body_from_image};
+use super::expected::{ExpectedImage, TASK, body_from_image};
+use super::pixel::ExpectedPixel;
 use super::surfaces::ObjectError;
 use glam::DVec3;
 use presight_model::geometry::{Pose, PoseEstimate};
@@ -11,48 +11,24 @@ use presight_model::sensor::Sensor;
 use presight_model::threads::parallel_or_here;
 use rayon::prelude::*;
 
-/// The result of comparing a measured pixel with its prediction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Verdict {
-    /// The measurement agrees with the predicted surface.
-    Confirmed,
-    /// An unknown object is in front of the predicted surface.
-    Nearer,
-    /// The ray passed through the predicted surface.
-    Farther,
-    /// A surface was predicted, but the pixel has no measurement.
-    NoReturn,
-    /// Neither the prediction nor the measurement has a surface within the sensor's range.
-    Beyond,
-    /// An edge, or another surface within the uncertainty of the pixel, explains the measurement as well.
-    Undecidable,
-    /// There is no prediction to compare with the measurement.
-    NotPredicted,
-}
-
-impl Verdict {
-    /// All of them, in the order of [`Verdicts::counts`].
-    pub const ALL: [Self; 7] = [
-        Self::Confirmed,
-        Self::Nearer,
-        Self::Farther,
-        Self::NoReturn,
-        Self::Beyond,
-        Self::Undecidable,
-        Self::NotPredicted,
-    ];
-
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Confirmed => "confirmed",
-            Self::Nearer => "nearer",
-            Self::Farther => "farther",
-            Self::NoReturn => "no_return",
-            Self::Beyond => "beyond",
-            Self::Undecidable => "undecidable",
-            Self::NotPredicted => "not_predicted",
-        }
+presight_model::words! {
+    /// The result of comparing a measured pixel with its prediction.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+    pub enum Verdict {
+        /// The measurement agrees with the predicted surface.
+        Confirmed = "confirmed",
+        /// An unknown object is in front of the predicted surface.
+        Nearer = "nearer",
+        /// The ray passed through the predicted surface.
+        Farther = "farther",
+        /// A surface was predicted, but the pixel has no measurement.
+        NoReturn = "no_return",
+        /// Neither the prediction nor the measurement has a surface within the sensor's range.
+        Beyond = "beyond",
+        /// An edge, or another surface within the uncertainty of the pixel, explains the measurement as well.
+        Undecidable = "undecidable",
+        /// There is no prediction to compare with the measurement.
+        NotPredicted = "not_predicted",
     }
 }
 

@@ -123,6 +123,7 @@ impl Predictor {
     }
 
     /// Replaces the system clock, for tests.
+    #[doc(hidden)]
     pub fn set_clock(&mut self, clock: Arc<dyn Clock>) {
         self.controller.set_clock(clock);
     }

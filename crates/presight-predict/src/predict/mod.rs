@@ -181,6 +181,7 @@ impl Predictor {
 
     /// Creates a predictor with an open engine. With [`Backend::Auto`] the CPU engine takes over if the engine's device
     /// fails.
+    #[doc(hidden)]
     pub fn with_engine(options: Options, engine: Box<dyn Engine>) -> Self {
         Self {
             backend: options.backend,
@@ -201,6 +202,7 @@ impl Predictor {
     }
 
     /// The engine.
+    #[doc(hidden)]
     pub fn engine(&self) -> &dyn Engine {
         &*self.engine
     }
@@ -219,6 +221,7 @@ impl Predictor {
     }
 
     /// The engine, and the threads for the work that it leaves to the CPU.
+    #[doc(hidden)]
     pub fn engine_mut(&mut self) -> (&mut dyn Engine, &Threads) {
         (&mut *self.engine, &self.threads)
     }

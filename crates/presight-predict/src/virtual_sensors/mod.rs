@@ -49,25 +49,27 @@ use presight_model::sensor::{Geometry, Scanner, Sensor};
 use presight_render::plan::{Output, Outputs};
 use serde::Serialize;
 
-/// The virtual sensors.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum VirtualSensor {
-    /// Visible free floor, for a camera.
-    FreeFloor,
-    /// Visible segments, for a camera.
-    Edges,
-    /// Line segments in the scan plane, for a radar.
-    RadarLines,
-    /// The nearest obstacle, for a radar.
-    RadarNearest,
-    /// Visible artificial landmarks, for a radar.
-    RadarLandmarks,
-    /// A point for every pixel, for a laser.
-    DepthImage,
-    /// Regions of vertical planes, for a laser.
-    VerticalPlanes,
-    /// Landmarks of a dock and the resulting pose covariance, for a laser.
-    Docking,
+presight_model::words! {
+    /// The virtual sensors.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    pub enum VirtualSensor {
+        /// Visible free floor, for a camera.
+        FreeFloor = "free-floor",
+        /// Visible segments, for a camera.
+        Edges = "edges",
+        /// Line segments in the scan plane, for a radar.
+        RadarLines = "radar-lines",
+        /// The nearest obstacle, for a radar.
+        RadarNearest = "radar-nearest",
+        /// Visible artificial landmarks, for a radar.
+        RadarLandmarks = "radar-landmarks",
+        /// A point for every pixel, for a laser.
+        DepthImage = "depth-image",
+        /// Regions of vertical planes, for a laser.
+        VerticalPlanes = "vertical-planes",
+        /// Landmarks of a dock and the resulting pose covariance, for a laser.
+        Docking = "docking",
+    }
 }
 
 /// Settings of a virtual sensor.
@@ -79,7 +81,7 @@ pub struct Settings {
     pub corridor: Option<Corridor>,
 }
 
-/// The reading of a virtual sensor.
+/// The reading of a virtual sensor. Its serialized form has the keys of the guide to virtual sensors.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct VirtualReading {
     /// [`VirtualSensor::name`].
@@ -87,6 +89,7 @@ pub struct VirtualReading {
     /// The sensor's mount, x, y, z, qx, qy, qz, qw; body axes.
     pub robot_from_sensor: [f64; 7],
     /// The result.
+    #[doc(hidden)]
     #[serde(flatten)]
     pub answer: Answer,
 }
@@ -107,32 +110,6 @@ pub enum Answer {
 }
 
 impl VirtualSensor {
-    /// All virtual sensors.
-    pub const ALL: [Self; 8] = [
-        Self::FreeFloor,
-        Self::Edges,
-        Self::RadarLines,
-        Self::RadarNearest,
-        Self::RadarLandmarks,
-        Self::DepthImage,
-        Self::VerticalPlanes,
-        Self::Docking,
-    ];
-
-    /// The name in the command and in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::FreeFloor => "free-floor",
-            Self::Edges => "edges",
-            Self::RadarLines => "radar-lines",
-            Self::RadarNearest => "radar-nearest",
-            Self::RadarLandmarks => "radar-landmarks",
-            Self::DepthImage => "depth-image",
-            Self::VerticalPlanes => "vertical-planes",
-            Self::Docking => "docking",
-        }
-    }
-
     /// The sensor class that it needs.
     pub fn class(self) -> &'static str {
         match self {

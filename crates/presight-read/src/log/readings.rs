@@ -85,6 +85,13 @@ fn word_length(text: &str) -> usize {
     1 + text.bytes().skip(1).take_while(u8::is_ascii_alphabetic).count()
 }
 
+/// The notice on the readings of one frame that stand for no range; `None` if all are ranges.
+pub fn notice_of_readings(frame: &Frame) -> Option<String> {
+    let mut readings = Readings::new("null or NaN");
+    readings.add(frame);
+    readings.notice()
+}
+
 /// Numbers of readings of a log by their interpretation.
 #[derive(Clone, Debug)]
 pub struct Readings {

@@ -6,26 +6,17 @@ use presight_model::geometry::Pose;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 
-/// The outcome of a case.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Outcome {
-    /// Correct, with the error within its bound.
-    Ok,
-    /// Refused with a typed error before any prediction.
-    Rejected,
-    /// Wrong, or with the error beyond its bound.
-    Fault,
-}
-
-impl Outcome {
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Ok => "ok",
-            Self::Rejected => "rejected",
-            Self::Fault => "fault",
-        }
+presight_model::words! {
+    /// The outcome of a case.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Outcome {
+        /// Correct, with the error within its bound.
+        Ok = "ok",
+        /// Refused with a typed error before any prediction.
+        Rejected = "rejected",
+        /// Wrong, or with the error beyond its bound.
+        Fault = "fault",
     }
 }
 
