@@ -33,7 +33,10 @@ const KINDS: [(&str, &str); 14] = [
         "range_of_bound",
         "largest ratio of the difference to the rounding error allowed at its pixel; the bound of exact paths is 1",
     ),
-    ("silhouette_px", "mean distance between the borders of objects in both images, pixels, both ways, at most 16"),
+    (
+        "silhouette_px",
+        "mean distance between the borders of objects in both images, pixels, in both directions, at most 16",
+    ),
     ("silhouette_most_px", "the largest such distance"),
     ("fault_share", "only for exact paths: fraction of pixels that no rounding, edge or tie explains"),
     ("missing_share", "fraction of the sensor's pixels that the path leaves out; its other errors are for the rest"),
