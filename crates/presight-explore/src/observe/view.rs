@@ -74,6 +74,7 @@ impl Views {
     }
 
     /// The views.
+    #[doc(hidden)]
     pub fn all(&self) -> &[View] {
         &self.views
     }

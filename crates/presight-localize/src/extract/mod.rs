@@ -34,7 +34,7 @@ pub use corners::{CornerOptions, corners_in};
 pub use edges::{EdgeOptions, ExpectedEdge, edges_near};
 #[cfg(feature = "fiducials")]
 pub use fiducials::FiducialFinder;
-pub use findings::{FeatureFinding, FindOptions, Findings, MeasuredRanges, find_features};
+pub use findings::{FeatureFinding, FeatureFindings, FindOptions, MeasuredRanges, find_features};
 pub use jumps::{JumpOptions, jumps_near};
 pub use lines::FoundEdge;
 pub use reflectors::{FoundReflector, ReflectorOptions, range_to, reflectors_in};
