@@ -135,7 +135,7 @@ fn localized(log: &Log) -> Row {
                 (found.translation - truth.translation).length(),
                 found.rotation.angle_between(truth.rotation).to_degrees(),
             );
-            let (squared, axes) = nees(&step.pose, truth);
+            let (squared, axes) = nees(&step.pose, &RobotPose::new(*truth));
             let is_near = off.0 < 0.05 && off.1 < 1.0;
             line += &format!("; {:.3} m {:.2} deg, NEES {:.1}", off.0, off.1, squared / axes.max(1) as f64);
             if is_tracking {

@@ -34,12 +34,13 @@ pub use corridor::{Corridor, CorridorFrame};
 pub use depth_image::DepthImage;
 pub use docking::{Docking, Unobservable};
 pub use edges::{Edge, EdgePiece, Edges};
-pub use free_floor::{FLOOR_HEIGHT, FLOOR_TILT, FloorRegion, FreeFloor};
+pub use free_floor::{FLOOR_HEIGHT, FloorRegion, FreeFloor};
 pub use landmarks::{Landmark, Landmarks};
 pub use mask::{Mask, MaskRegion};
-pub use radar_lines::{COLLINEAR, RadarLine, RadarLines};
+pub use pixels::{COPLANAR, TILT};
+pub use radar_lines::{RadarLine, RadarLines};
 pub use radar_nearest::{Directions, InCorridor, Nearest, NearestPoint};
-pub use vertical_planes::{COPLANAR, VERTICAL, VerticalPlane, VerticalPlanes};
+pub use vertical_planes::{VerticalPlane, VerticalPlanes};
 pub use view::{View, ViewIds};
 
 use presight_model::environment::FeatureShape;
