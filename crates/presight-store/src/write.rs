@@ -49,7 +49,7 @@ pub(super) enum RestoreCheck {
     /// They must also lie on polygons.
     Checked,
     /// They are exempt, because they were in the environment before.
-    LetBe,
+    Exempt,
 }
 
 /// Options for applying a change, and its further columns in the log.
@@ -104,7 +104,7 @@ impl<'a> ChangeBatch<'a> {
     /// As [`World::apply`]; [`presight_model::ErrorKind::Invalid`] if the id belongs to another change. Earlier changes
     /// then stay in the batch. If writing to the store fails, the whole batch is undone.
     pub fn apply(&mut self, change: Change, note: &Note) -> Result<u64> {
-        self.record(change, note, &Entry { placed: Some(RestoreCheck::LetBe), ..Entry::default() })
+        self.record(change, note, &Entry { placed: Some(RestoreCheck::Exempt), ..Entry::default() })
     }
 
     /// Like [`ChangeBatch::apply`], but features need not lie on polygons, as in [`World::apply_unchecked`].
@@ -120,7 +120,7 @@ impl<'a> ChangeBatch<'a> {
     /// # Errors
     /// As [`ChangeBatch::apply`].
     pub fn apply_imported(&mut self, change: Change, lost: Vec<(String, u32)>, note: &Note) -> Result<u64> {
-        self.record(change, note, &Entry { placed: Some(RestoreCheck::LetBe), lost, ..Entry::default() })
+        self.record(change, note, &Entry { placed: Some(RestoreCheck::Exempt), lost, ..Entry::default() })
     }
 
     /// Applies a change and writes it with its log entry.
@@ -168,8 +168,8 @@ impl<'a> ChangeBatch<'a> {
         self.apply_parsed(Line::parse(line)?, folder, note)
     }
 
-    /// Applies a proposed change. Relative paths of scene files start at the working folder. Returns its number in the log, and true
-    /// if it is new.
+    /// Applies a proposed change. Relative paths of scene files start at the working folder. Returns its number in the
+    /// log, and true if it is new.
     ///
     /// # Errors
     /// As [`Batch::apply_line`].

@@ -162,7 +162,7 @@ mod tests {
     use presight_model::measured::Measurement;
     use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 
-    /// Words outside of strings only, whatever else the text is.
+    /// Only words outside of strings, in any text.
     #[test]
     fn bare_words_are_quoted() {
         for (text, quoted) in [
