@@ -6,5 +6,5 @@
 pub use presight_update::{
     Action, Applied, BestView, DoubtfulObject, Evidence, Finding, FindingKind, LearnOptions, Learner, Library,
     LibraryShape, PendingChanges, PlannedView, Policy, ProgramRecognizer, Proposal, Recognized, Recognizer,
-    RefinedPose, SiteFindings, Tally, UprightBox,
+    SiteFindings, Tally, UprightBox,
 };

@@ -240,6 +240,7 @@ pub struct FeaturePrediction {
     /// pixel. Points and landmarks win over segments, then contours, then patches; then lower numbers win.
     pub feature_id: Vec<u32>,
     /// How visibility was decided.
+    #[doc(hidden)]
     pub stats: FeatureStats,
     /// With [`super::Hidden::Full`] and [`super::Hidden::Reason`], indices of the given features that are entirely out
     /// of view, in ascending order with reasons. `features` has no entries for them before

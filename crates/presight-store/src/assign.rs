@@ -1,4 +1,4 @@
-//! Assigns the rows of a table to its columns, each to one of its own, with the least total cost. Costs are integers,
+//! Assigns each row of a table to a different column with minimum total cost. Costs are integers,
 //! so that a tie is exact.
 
 use pathfinding::prelude::{Matrix, kuhn_munkres_min};
@@ -15,7 +15,7 @@ pub(super) struct Assignment {
     pub is_tie: bool,
 }
 
-/// Assigns every row of `costs` to a column of its own. There must be at least as many columns as rows.
+/// Assigns every row of `costs` to a different column. There must be at least as many columns as rows.
 pub(super) fn assign(costs: &[Vec<i64>]) -> Assignment {
     // In steps of more than the number of rows a cost of one for each pair only decides between equal totals.
     let step = costs.len() as i64 + 1;

@@ -241,6 +241,7 @@ impl Learner {
     /// The poses of confirmed objects, by Bayes from what the model states: the covariances of the sensor's layer, or
     /// the deviation of surfaces. Empty for a model that states neither, because it is exact. An object that sensors of
     /// several classes saw follows the class with the most views of it.
+    #[doc(hidden)]
     pub fn refined(&self, environment: &Environment, findings: &SiteFindings) -> Vec<RefinedPose> {
         refine::refined(&self.knowledge, environment, findings)
     }

@@ -74,6 +74,7 @@ impl Views {
     }
 
     /// The views.
+    #[doc(hidden)]
     pub fn all(&self) -> &[View] {
         &self.views
     }
@@ -104,6 +105,11 @@ impl Views {
         let mut views: Vec<View> = self.views.iter().rev().step_by(step).cloned().collect();
         views.reverse();
         Self { base: self.base, views }
+    }
+
+    /// A sample of the views that suffices for medians over their pixels and for mirrors.
+    pub(crate) fn sample(&self) -> Self {
+        self.some(16)
     }
 
     /// One of the views alone.

@@ -4,7 +4,7 @@
 //! Harris and M. Stephens 1988, J. Shi and C. Tomasi 1994). The corner is the point nearest to all edge lines through
 //! the surrounding pixels (W. Förstner and E. Gülch 1987), with the covariance of this least-squares problem.
 
-use super::PixelBox;
+use super::region::PixelBox;
 use crate::matching::Detection;
 use glam::{DMat2, DVec2};
 use presight_model::measured::GreyImage;
@@ -26,7 +26,7 @@ presight_model::options! {
 
 /// Half side of the detection window, pixels.
 const HALF: i64 = 3;
-/// Minimum distance between corners, pixels.
+/// Minimum distance between corners, pixels: half a window, as nearer ones share most of their pixels.
 const APART: i64 = 3;
 /// Maximum distance of a corner from its peak, pixels. The response of a wedge peaks where both edges are long in the
 /// window: further inside for a narrower wedge (5 pixels for 52 degrees).

@@ -1,7 +1,6 @@
 //! Finds the edges near a predicted one to a fraction of a pixel, by searching across it.
 
-use super::lines::{EdgeFrame, LineOptions, Step, StepNoise};
-use crate::matching::Detection;
+use super::lines::{EdgeFrame, FoundEdge, LineOptions, Step, StepNoise};
 use glam::{DMat2, DVec2};
 use presight_features::{SeenFeature, VisibleInterval};
 use presight_model::environment::FeatureShape;
@@ -65,19 +64,6 @@ presight_model::options! {
     }
 }
 
-/// A detected edge.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FoundEdge {
-    /// A segment for [`crate::matching`]; its ends are not corners.
-    pub detection: Detection,
-    /// Brightness of the right side minus that of the left.
-    pub contrast: f64,
-    /// Fraction of the expected length with measured steps.
-    pub support: f64,
-    /// Root mean square distance of its points from the line, pixels.
-    pub scatter: f64,
-}
-
 /// Error left by sampling and interpolation at best, pixels.
 const FLOOR: f64 = 0.02;
 
@@ -112,7 +98,7 @@ struct Profiler<'a> {
     steps: Vec<Step>,
 }
 
-/// Distance between samples across an edge, pixels.
+/// Distance between samples across an edge, pixels: twice as fine as the image.
 const STEP: f64 = 0.5;
 /// Samples on either side of a difference: two pixels.
 const WIDTH: usize = 4;

@@ -1,6 +1,6 @@
 //! Fiducials in grey images, found by the AprilTag library (E. Olson 2011, J. Wang and E. Olson 2016).
 
-use super::PixelBox;
+use super::region::PixelBox;
 use crate::matching::{Detection, Marker, Shape};
 use apriltag::{Detector, DetectorBuilder, Family, Image};
 use glam::DVec2;

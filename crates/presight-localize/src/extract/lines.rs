@@ -1,14 +1,26 @@
 //! Fits lines to steps measured across an expected edge: selects the best supported line, then solves least squares.
 
-use super::FoundEdge;
 use crate::matching::Detection;
 use glam::{DMat2, DVec2};
+
+/// A detected edge.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundEdge {
+    /// A segment for [`crate::matching`]; its ends are not corners.
+    pub detection: Detection,
+    /// Brightness of the right side minus that of the left.
+    pub contrast: f64,
+    /// Fraction of the expected length with measured steps.
+    pub support: f64,
+    /// Root mean square distance of its points from the line, pixels.
+    pub scatter: f64,
+}
 
 /// Maximum number of stations along an edge.
 const STATIONS: usize = 96;
 /// Maximum distance of a step from the line that it supports, pixels.
 const NEAR: f64 = 1.2;
-/// Maximum number of steps at either end that are tried as pairs.
+/// Maximum number of steps at either end that are tried as pairs: at most 24 x 24 lines.
 const TRIED: usize = 24;
 
 /// A line supported by this fraction of the stations is accepted without trying more.

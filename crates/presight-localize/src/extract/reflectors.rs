@@ -1,6 +1,6 @@
 //! Retro-reflectors in scans: echoes far brighter than from any wall.
 
-use super::PixelBox;
+use super::region::PixelBox;
 use crate::matching::{Detection, Shape, UncertainValue};
 use glam::{DMat2, DVec2};
 use presight_model::error::{Error, Result};
@@ -29,7 +29,7 @@ pub struct FoundReflector {
     pub range: UncertainValue,
 }
 
-/// Variance of an unknown position, pixels squared.
+/// Variance of an unknown position, pixels squared: a standard deviation of 1,000 pixels excludes no row.
 const UNKNOWN: f64 = 1e6;
 /// Maximum range difference within one reflector, metres.
 const DEPTH: f64 = 0.2;

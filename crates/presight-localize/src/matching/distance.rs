@@ -1,7 +1,6 @@
 //! Distance between a detection and an expected feature.
 
-use super::detection::{Detection, Shape};
-use super::matcher::ExpectedFeature;
+use super::detection::{Detection, ExpectedFeature, Shape};
 use glam::{DMat2, DVec2};
 use presight_model::statistics::chi_squared_quantile;
 use std::f64::consts::PI;

@@ -2,31 +2,20 @@
 
 use super::assign::CandidatePair;
 use super::bins::Bins;
-use super::detection::{Detection, DetectionProperties, ExpectedProperties, Rejection, Shape, UncertainValue};
+use super::detection::{
+    Detection, DetectionProperties, ExpectedFeature, ExpectedProperties, Rejection, Shape, UncertainValue,
+};
 use super::distance::{Distance, FoundLine, Gate, compare, turn_apart};
-use glam::{DMat2, DVec2};
+use glam::DVec2;
 use std::f64::consts::PI;
 
 /// Maximum number of candidates of one feature; the cheapest are kept. An optimum needs one per feature of a group.
 pub const MAX_CANDIDATES: usize = 64;
 
-/// Length along a ray over which clutter is uniform, metres.
+/// Length along a ray over which clutter is uniform, metres: the reach of a usual laser scanner.
 const DEPTHS: f64 = 30.0;
 /// Minimum standard deviation of a measured range, metres. With a smaller one, the gate rejects nearly everything.
 const MIN_DEPTH_SIGMA: f64 = 1e-3;
-
-/// A feature that may be detected.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ExpectedFeature {
-    /// Most likely position.
-    pub shape: Shape,
-    /// Covariance of each defining point without the noise of the detection, pixels squared.
-    pub covariances: Vec<DMat2>,
-    /// Search window: x0, y0, x1, y1. Detections outside are not candidates, but segments only have to cross it.
-    pub window: [f64; 4],
-    /// Expected properties.
-    pub properties: ExpectedProperties,
-}
 
 /// Noise of an extractor's properties, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,11 +92,13 @@ impl Place {
 
 impl Matcher {
     /// Cost of a feature without a detection.
+    #[doc(hidden)]
     pub fn unseen_cost(&self) -> f64 {
         -(1.0 - self.detection_probability).ln()
     }
 
     /// Returns the pairs of one kind with the detection in the window, and position and properties within the gate.
+    #[doc(hidden)]
     pub fn candidates(&self, expected: &[ExpectedFeature], found: &[Detection]) -> Candidates {
         let mut all = Candidates::default();
         let mut places = Vec::with_capacity(found.len());
@@ -272,6 +263,7 @@ fn reach(feature: &ExpectedFeature) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DMat2;
 
     fn point(x: f64, y: f64) -> ExpectedFeature {
         ExpectedFeature {

@@ -26,6 +26,8 @@ mod matcher;
 
 pub use assign::{Assignment, CandidatePair, MAX_GROUP_WORK, assign};
 pub(crate) use detection::MAX_OUTLINE;
-pub use detection::{Detection, DetectionProperties, ExpectedProperties, Marker, Rejection, Shape, UncertainValue};
+pub use detection::{
+    Detection, DetectionProperties, ExpectedFeature, ExpectedProperties, Marker, Rejection, Shape, UncertainValue,
+};
 pub(crate) use distance::{aligned, floored, unwrap};
-pub use matcher::{Candidates, ExpectedFeature, MAX_CANDIDATES, Matcher, PropertyNoise};
+pub use matcher::{Candidates, MAX_CANDIDATES, Matcher, PropertyNoise};

@@ -9,7 +9,7 @@ mod surroundings;
 pub use grey::GreySimulator;
 pub use surroundings::{Walkers, displace};
 
-use crate::estimate::moved;
+use crate::motion::moved;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseCovariance, RobotPose};
 use presight_model::measured::{Frame, GreyImage, Measurement, Motion, RangeNoise};

@@ -1,9 +1,9 @@
 //! Expected pixels: the predicted point and the exact plane of its polygon.
 
-use super::Surfaces;
+use super::pixel::{ExpectedPixel, NOTHING};
 use super::strided::StridedPoints;
-use super::surfaces::ObjectErrors;
-use glam::{DVec3, Vec3};
+use super::surfaces::{ObjectErrors, Surfaces};
+use glam::DVec3;
 use presight_model::environment::MarkKind;
 use presight_model::error::Result;
 use presight_model::geometry::{Pose, RobotPose, SensorPose};
@@ -14,34 +14,8 @@ use presight_render::plan::{Images, Output, Outputs};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// A pixel of a prediction, in the image frame of the predicted pose.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ExpectedPixel {
-    /// The predicted point, metres; NaN without a prediction.
-    pub point: Vec3,
-    /// Metres along the ray; not finite without a point.
-    pub range: f32,
-    /// Unit normal of the polygon.
-    pub normal: Vec3,
-    /// `normal . point`, metres.
-    pub offset: f32,
-    /// Index of the object.
-    pub object: u32,
-    /// See [`super::Surface::group`].
-    pub group: u32,
-}
-
-/// Minimum number of pixels in a parallel task: each takes tens of nanoseconds, a task some microseconds to start.
+/// Minimum number of pixels in a parallel task.
 pub(super) const TASK: usize = 512;
-
-pub(super) const NOTHING: ExpectedPixel = ExpectedPixel {
-    point: Vec3::NAN,
-    range: f32::INFINITY,
-    normal: Vec3::NAN,
-    offset: f32::NAN,
-    object: u32::MAX,
-    group: u32::MAX,
-};
 
 /// A prediction, arranged for comparison with a measurement.
 #[derive(Clone, Debug)]

@@ -6,12 +6,13 @@
 
 mod expected;
 mod judge;
+mod pixel;
 mod strided;
 mod surfaces;
 
-pub use expected::body_from_image;
-pub use expected::{ExpectedImage, ExpectedPixel};
+pub use expected::{ExpectedImage, body_from_image};
 pub use judge::{Verdict, Verdicts, judge};
+pub use pixel::ExpectedPixel;
 pub use strided::LANES;
 pub use surfaces::{ObjectError, Surface, Surfaces};
 

@@ -1,7 +1,7 @@
 //! Predicted points in the order in which windows of an image are searched: columns that are one stride apart lie side
 //! by side.
 
-use super::ExpectedPixel;
+use super::pixel::ExpectedPixel;
 use std::sync::OnceLock;
 
 /// Points compared by one vector instruction: the f32 lanes of AVX-512.
@@ -91,7 +91,7 @@ impl WindowRows<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::verdict::expected::NOTHING;
+    use crate::verdict::pixel::NOTHING;
     use glam::Vec3;
 
     /// For every stride and first column, each lane has the point of its column, or NaN outside the image.

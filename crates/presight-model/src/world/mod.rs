@@ -52,6 +52,7 @@ impl World {
     }
 
     /// The first version of a world, with an existing index.
+    #[doc(hidden)]
     pub fn of(index: WorldIndex, environment: Environment) -> Self {
         Self {
             environment: Arc::new(environment),
@@ -81,11 +82,13 @@ impl World {
     }
 
     /// Finds polygons of this version.
+    #[doc(hidden)]
     pub fn index(&self) -> &WorldIndex {
         &self.index
     }
 
     /// Object and polygon of all polygons whose box meets a region. `found` is memory that queries share.
+    #[doc(hidden)]
     pub fn polygons_in<'a>(
         &'a self,
         region: &Region,

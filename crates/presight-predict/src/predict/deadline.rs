@@ -1,5 +1,4 @@
-//! The parts that a prediction with a deadline gave up, the costs of predictions, and which of the fast ways are in
-//! time.
+//! Predictions with a deadline: the parts that were given up, the costs, and the ways that finish in time.
 
 use super::{Prediction, Predictor};
 use crate::request::Request;
@@ -123,6 +122,7 @@ impl Predictor {
     }
 
     /// Replaces the system clock, for tests.
+    #[doc(hidden)]
     pub fn set_clock(&mut self, clock: Arc<dyn Clock>) {
         self.controller.set_clock(clock);
     }

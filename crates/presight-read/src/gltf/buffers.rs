@@ -1,4 +1,4 @@
-//! The bytes of the buffers, embedded or in files of their own. Each file is read once, however many buffers name it,
+//! The bytes of the buffers, embedded or in separate files. Each file is read once, however many buffers name it,
 //! and only as far as they need.
 
 use super::container::{Container, base64, check_within, local_path};

@@ -18,7 +18,7 @@ pub mod scans;
 mod tests;
 
 pub use frames::{Frames, Observation};
-pub use readings::Readings;
+pub use readings::notice_of_readings;
 
 use super::file;
 use super::text::read_line;

@@ -96,6 +96,7 @@ impl Default for ChosenWay {
 impl Way {
     /// Chooses by counts that are available before the selection, so that the choice is the same in every run. The
     /// raster may turn to tiles after its first wave.
+    #[doc(hidden)]
     pub fn choose(self, world: &World, sensor: &Sensor) -> ChosenWay {
         let raster = |why| ChosenWay { why, ..ChosenWay::RASTER };
         let tiles = |why| ChosenWay { way: Self::Tiles, ..raster(why) };
