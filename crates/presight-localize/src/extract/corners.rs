@@ -26,7 +26,7 @@ presight_model::options! {
 
 /// Half side of the detection window, pixels.
 const HALF: i64 = 3;
-/// Minimum distance between corners, pixels.
+/// Minimum distance between corners, pixels: half a window, as nearer ones share most of their pixels.
 const APART: i64 = 3;
 /// Maximum distance of a corner from its peak, pixels. The response of a wedge peaks where both edges are long in the
 /// window: further inside for a narrower wedge (5 pixels for 52 degrees).

@@ -98,7 +98,7 @@ struct Profiler<'a> {
     steps: Vec<Step>,
 }
 
-/// Distance between samples across an edge, pixels.
+/// Distance between samples across an edge, pixels: twice as fine as the image.
 const STEP: f64 = 0.5;
 /// Samples on either side of a difference: two pixels.
 const WIDTH: usize = 4;

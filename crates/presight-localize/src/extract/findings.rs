@@ -174,10 +174,11 @@ pub fn find_features(
     Ok(findings)
 }
 
-/// Expected number of bright spots per scan column that are not reflectors of the layer.
+/// Expected number of bright spots per scan column that are not reflectors of the layer: one false spot in a scan of
+/// 1,000 beams.
 const CLUTTER_OF_A_COLUMN: f64 = 1e-3;
-/// Number of pixel rows with the same effect where the row is unknown (variance [`super::reflectors::UNKNOWN`]):
-/// dividing by it gives the density per column.
+/// Number of pixel rows with the same effect where the row is unknown: sqrt(2 pi V) of its variance V
+/// ([`super::reflectors::UNKNOWN`]). Dividing by it gives the density per column.
 const ROWS: f64 = 2507.0;
 
 fn matcher(frame: &Frame) -> Matcher {

@@ -20,7 +20,7 @@ pub struct FoundEdge {
 const STATIONS: usize = 96;
 /// Maximum distance of a step from the line that it supports, pixels.
 const NEAR: f64 = 1.2;
-/// Maximum number of steps at either end that are tried as pairs.
+/// Maximum number of steps at either end that are tried as pairs: at most 24 x 24 lines.
 const TRIED: usize = 24;
 
 /// A line supported by this fraction of the stations is accepted without trying more.

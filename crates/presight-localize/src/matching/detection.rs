@@ -2,7 +2,8 @@
 
 use glam::{DMat2, DVec2};
 
-/// Maximum number of corners of an outline. Outlines are compared corner by corner, at every starting corner.
+/// Maximum number of corners of an outline; it bounds the comparison to 256 pairs. Outlines are compared corner by
+/// corner, at every starting corner.
 pub(crate) const MAX_OUTLINE: usize = 16;
 
 /// Position of a feature in pixel coordinates (column, row). The centre of the top-left pixel is (0, 0).

@@ -10,11 +10,11 @@ use presight_model::world::World;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// Maximum number of people in a scene.
+/// Maximum number of people in a scene: it bounds the changes that each frame applies.
 const MAX_WALKERS: usize = 1000;
 /// Half of a person's width, depth and height, metres.
 const PERSON: [f32; 3] = [0.25, 0.15, 0.85];
-/// Metres per second.
+/// Walking speed of people, metres per second.
 const SPEED: f64 = 1.0;
 /// Distance that people walk before they turn around, metres.
 const DISTANCE: f64 = 4.0;

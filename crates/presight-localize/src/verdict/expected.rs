@@ -14,7 +14,7 @@ use presight_render::plan::{Images, Output, Outputs};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Minimum number of pixels in a parallel task: each takes tens of nanoseconds, a task some microseconds to start.
+/// Minimum number of pixels in a parallel task.
 pub(super) const TASK: usize = 512;
 
 /// A prediction, arranged for comparison with a measurement.

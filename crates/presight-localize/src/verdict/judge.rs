@@ -8,6 +8,7 @@ use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::matrix::{quadratic, sandwich, turn};
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::sensor::Sensor;
+use presight_model::statistics::NOISE_BOUND;
 use presight_model::threads::parallel_or_here;
 use rayon::prelude::*;
 
@@ -59,8 +60,6 @@ impl Verdicts {
     }
 }
 
-/// Noise explains differences up to this many standard deviations: 1 in 1,000 Gaussian differences exceeds them.
-const BOUND: f64 = 3.3;
 /// Maximum half width of the window around a pixel, pixels; bounds the time for an uncertain pose.
 const WIDEST: i64 = 16;
 /// Compares a frame with its prediction; see [`super::of_frame`]. The pose may differ slightly from the predicted one,
@@ -171,7 +170,7 @@ impl<'a> PixelJudge<'a> {
         let at = row * e.width + column;
         let range = if z.is_finite() { z } else { f64::from(e.pixels[at].range) };
         let range = if range.is_finite() { range.max(0.1) } else { 1.0 };
-        let angle = BOUND * (self.rotation + self.translation / range + self.noise.angle);
+        let angle = NOISE_BOUND * (self.rotation + self.translation / range + self.noise.angle);
         // Half a pixel is added because a polygon's edge may be anywhere between two rays.
         let half = |spacing: f64| ((angle / spacing + 0.5).ceil() as i64).clamp(i64::from(spacing.is_finite()), WIDEST);
         let (hu, hv) = (half(e.spacing.0), half(e.spacing.1));
@@ -190,8 +189,8 @@ impl<'a> PixelJudge<'a> {
                 };
                 let own = f64::from(e.pixels[j].range);
                 let (low, high) = if j == at { (on_plane, on_plane) } else { (own.min(on_plane), own) };
-                window.nearest = window.nearest.min(low - BOUND * sigma);
-                window.farthest = window.farthest.max(high + BOUND * sigma);
+                window.nearest = window.nearest.min(low - NOISE_BOUND * sigma);
+                window.farthest = window.farthest.max(high + NOISE_BOUND * sigma);
             }
         }
         window
@@ -210,7 +209,7 @@ impl<'a> PixelJudge<'a> {
         // The window includes this pixel, so a range that agrees with it is neither nearer nor farther than all of
         // them.
         if let Some((range, sigma)) = here
-            && (z - range).abs() <= BOUND * sigma
+            && (z - range).abs() <= NOISE_BOUND * sigma
         {
             return (Verdict::Confirmed, predicted);
         }

@@ -14,7 +14,7 @@
 //! error, with the third quartile of its times against the first quartile of the other's.
 
 use super::features::RESOLUTION;
-use super::{FAULT_SHARE, Row};
+use super::results::{FAULT_SHARE, Row};
 
 /// A path is clearly faster only if it takes less than this fraction of the time.
 const WORTH: f64 = 0.9;
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_less_exact_has_its_price_told() {
+    fn a_less_exact_path_comes_with_its_cost() {
         let default = || path("default", 0.0, Some(0.0), 9.0);
         let text = advice(&[default(), path("half", 0.04, None, 1.0)]);
         assert!(text.contains("If 4.000 % other polygons and silhouette errors of 0.40 pixels"), "{text}");
