@@ -136,8 +136,8 @@ impl Headings {
     }
 }
 
-/// The smallest number of columns of a turn for which every beam is near a column: a multiple of `count`, at most `most`.
-/// `offs` are the angles of the beams from the first one, degrees.
+/// The smallest number of columns of a turn for which every beam is near a column: a multiple of `count`, at most
+/// `most`. `offs` are the angles of the beams from the first one, degrees.
 fn columns_for(offs: &[f64], count: u32, most: u32) -> u32 {
     let gaps = offs.array_windows().map(|[a, b]| b - a);
     let mean = offs.last().copied().unwrap_or(0.0) / offs.len() as f64;

@@ -89,8 +89,8 @@ impl Options {
     }
 
     /// Sets the CPU engine's strategy of finding what rays see, for benches and tests. [`Way::Auto`] learns the faster
-    /// strategy from the times of a sensor's frames. [`Way::Counts`] decides by counts alone, equally in every run. A GPU
-    /// ignores it. With a deadline, tiles are used only if they are certain to finish in time.
+    /// strategy from the times of a sensor's frames. [`Way::Counts`] decides by counts alone, equally in every run. A
+    /// GPU ignores it. With a deadline, tiles are used only if they are certain to finish in time.
     #[must_use]
     pub fn with_way(self, way: Way) -> Self {
         Self { way, ..self }
@@ -432,9 +432,9 @@ impl Predictor {
         if self.engine.has_tiles() { self.way.choose(world, sensor) } else { ChosenWay::RASTER }
     }
 
-    /// Makes the trees of a whole world that the CPU engine searches for sensors of few rays; otherwise they are made after
-    /// several predictions. It takes about 0.6 us a triangle and thread. A tree stays with its mesh when other parts of the
-    /// world change.
+    /// Makes the trees of a whole world that the CPU engine searches for sensors of few rays; otherwise they are made
+    /// after several predictions. It takes about 0.6 us a triangle and thread. A tree stays with its mesh when other
+    /// parts of the world change.
     ///
     /// ```
     /// use presight::{Options, Predictor, World, environment::Environment};

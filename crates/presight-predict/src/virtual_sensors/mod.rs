@@ -8,7 +8,7 @@
 //! | `radar-nearest` | `radar` | [`Nearest`]: nearest obstacle by direction and in a corridor | closest obstacle |
 //! | `radar-landmarks` | `radar` | [`Landmarks`]: positions of visible artificial landmarks | surveying: landmarks |
 //! | `depth-image` | `laser` | [`DepthImage`]: a point for every pixel | 3D-depth image |
-//! | `vertical-planes` | `laser` | [`VerticalPlanes`]: connected regions of vertical planes | localization: vertical planes |
+//! | `vertical-planes` | `laser` | [`VerticalPlanes`]: connected regions of vertical planes | localization: planes |
 //! | `docking` | `laser` | [`Docking`]: visible landmarks, and how well they fix the pose | docking: landmarks |
 //!
 //! Each virtual sensor states its request ([`VirtualSensor::class`], [`VirtualSensor::outputs`], and the feature filter
