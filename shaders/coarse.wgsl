@@ -20,7 +20,8 @@ fn least_inverse(lines: vec2u, samples: vec2u, than: f32) -> f32 {
     var level = 0u;
     var shift = 3u;
     while level + 1u < LEVELS
-        && ((lines.y >> shift) - (lines.x >> shift) + 1u) * ((samples.y >> shift) - (samples.x >> shift) + 1u) > FEW_TILES {
+        && ((lines.y >> shift) - (lines.x >> shift) + 1u) * ((samples.y >> shift) - (samples.x >> shift) + 1u)
+            > FEW_TILES {
         level++;
         shift++;
     }
@@ -38,7 +39,8 @@ fn least_inverse(lines: vec2u, samples: vec2u, than: f32) -> f32 {
 
 // The least inverse depth that earlier waves drew within a reach widened by one line and sample; 0 unless above `than`.
 fn least_around(reach: Reach, than: f32) -> f32 {
-    let samples = vec2u(max(reach.first_sample, 1u) - 1u, min(reach.first_sample + reach.sample_count, params.sample_count - 1u));
+    let samples =
+        vec2u(max(reach.first_sample, 1u) - 1u, min(reach.first_sample + reach.sample_count, params.sample_count - 1u));
     let first = max(reach.first, 1u) - 1u;
     let last = reach.first + reach.count;
     let least = least_inverse(vec2u(first, min(last, params.line_count - 1u)), samples, than);

@@ -208,6 +208,6 @@ const COUNTED_ITEMS: u32 = 2u;
 const COUNTED_ITEMS_BEFORE: u32 = 21u;
 const COUNTED_SURVIVORS_BEFORE: u32 = 20u;
 
-// Replaces infinity, so that comparisons stay well-defined. Vulkan states no precision for divisors over 2^126 = 8.5e37:
-// NVIDIA's quotient is 0 there, so greater numbers are not used.
+// Replaces infinity, so that comparisons stay well-defined. Vulkan states no precision for divisors over 2^126 =
+// 8.5e37: NVIDIA's quotient is 0 there, so greater numbers are not used.
 const HUGE: f32 = 1.0e37;

@@ -114,7 +114,8 @@ fn bounds_reach(b: Bounds) -> Reach {
             return no_reach();
         }
         let nearest = select(distance, max(distance, b.forward), params.ahead_at != 0u);
-        return Reach(found.rows.x, found.rows.y - found.rows.x, found.columns.x, found.columns.y - found.columns.x, nearest);
+        return Reach(
+            found.rows.x, found.rows.y - found.rows.x, found.columns.x, found.columns.y - found.columns.x, nearest);
     }
     var reach = whole_reach();
     reach.nearest = distance;

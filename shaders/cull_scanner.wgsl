@@ -106,7 +106,8 @@ fn bounds_reach(b: Bounds) -> Reach {
         return no_reach();
     }
     let n = i32(params.line_count);
-    return Reach(u32((first + n) % n), u32(min(end - first, n)), first_sample, end_sample - first_sample, nearest_of(b, around));
+    return Reach(
+        u32((first + n) % n), u32(min(end - first, n)), first_sample, end_sample - first_sample, nearest_of(b, around));
 }
 
 // The first line whose bucket is at or above the angle; angles outside -2..2 wrap around.

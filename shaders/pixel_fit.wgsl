@@ -29,7 +29,9 @@ struct Fit {
 }
 
 fn fit_start() -> Fit {
-    return Fit(0u, vec2f(), vec2f(-1.0), vec2f(), vec3f(), vec3f(), vec3f(), vec3f(), vec4f(HUGE), vec4f(-HUGE), params.fit_at != 0u);
+    return Fit(
+        0u, vec2f(), vec2f(-1.0), vec2f(), vec3f(), vec3f(), vec3f(), vec3f(), vec4f(HUGE), vec4f(-HUGE),
+        params.fit_at != 0u);
 }
 
 // The component along a side's axis, then the next two in cyclic order.

@@ -14,7 +14,9 @@ fn raster(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) gro
         let at = i * ITEM_WORDS;
         let part = items[at + ITEM_PART];
         let within = items[at + ITEM_WITHIN];
-        box(polygon_at(items[at + ITEM_RECORD]), vec2u(part >> 16u, part & 0xffffu), vec2u(within >> 16u, within & 0xffffu));
+        box(
+            polygon_at(items[at + ITEM_RECORD]), vec2u(part >> 16u, part & 0xffffu),
+            vec2u(within >> 16u, within & 0xffffu));
     }
 }
 
@@ -79,7 +81,8 @@ fn box(p: Polygon, first: vec2u, end: vec2u) {
     for (var row = begin.y; !few && row <= last.y; row++) {
         for (var column = begin.x; column <= last.x; column++) {
             let cone = cone_at(params.tiles_at + (row * params.tile_columns + column) * 4u);
-            let beside = is_beside(p.e0, cone) || is_beside(p.e1, cone) || is_beside(p.e2, cone) || is_beside(p.e3, cone);
+            let beside =
+                is_beside(p.e0, cone) || is_beside(p.e1, cone) || is_beside(p.e2, cone) || is_beside(p.e3, cone);
             let meets = cap_meets(p.axis, chord, cone) && !beside && !is_behind(p.m, cone, 0u, row, column);
             met |= select(0u, 1u, meets) << ((row - begin.y) * columns + column - begin.x);
         }

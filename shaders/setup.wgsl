@@ -36,7 +36,8 @@ const EDGE_ON_CENTER: f32 = 2.9e-14; // 2^-45
 
 fn set_up(index: u32, survivor: Survivor) {
     let instance = instance_at(survivor.instance);
-    let first_corner = instance.corners_at + polygon_word(instance, survivor.polygon, POLYGON_FIRST_CORNER) * CORNER_WORDS;
+    let first_corner =
+        instance.corners_at + polygon_word(instance, survivor.polygon, POLYGON_FIRST_CORNER) * CORNER_WORDS;
     let corner_count = polygon_word(instance, survivor.polygon, POLYGON_CORNERS) & 0xffu;
     let normal = polygon_normal(instance, survivor.polygon);
 

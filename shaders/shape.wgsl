@@ -6,7 +6,7 @@
 override GROWTH: f32 = 1.0;
 
 // Maximum rounding error of an edge, pixels.
-const MOST_OFF: f32 = 1.0;
+const MAX_OFFSET: f32 = 1.0;
 // Greater than the ratio for any polygon that is drawn; keeps divisions finite.
 const HUGE_RATIO: f32 = 1.0e9;
 // Rounding of an edge plane, a corner and a ray: an angle of 40 * 2^-24, multiplied by the ratio of the near corner's
@@ -15,7 +15,7 @@ const EDGE_ROUNDING: f32 = 2.4e-6;
 // 2^-48 of the centre's coordinates, in units of 24 * 2^-24.
 const CENTER_ROUNDING: f32 = 1.0e-8;
 // Beyond this, f32 positions lose fractions of a pixel.
-const MOST_PIXELS: f32 = 16384.0;
+const MAX_PIXELS: f32 = 16384.0;
 // Maximum area in pixels of a box for which a turned rectangle does not pay.
 const SMALL: f32 = 256.0;
 // A turned rectangle is used if its area is below this share of the box.
@@ -69,11 +69,12 @@ fn outline(instance: Instance, first_corner: u32, corner_count: u32) -> Outline 
         place = place_next;
     }
     let off = EDGE_ROUNDING * times * max(params.fx, params.fy) * slope * slope;
-    return Outline(normalize(direction), select(-1.0, off, off < MOST_OFF));
+    return Outline(normalize(direction), select(-1.0, off, off < MAX_OFFSET));
 }
 
 // Sets the shape of a survivor. Returns false if spans must draw it.
-fn set_shape(at: u32, index: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) -> bool {
+fn set_shape(
+    at: u32, index: u32, instance: Instance, survivor: Survivor, first_corner: u32, corner_count: u32) -> bool {
     let seen = outline(instance, first_corner, corner_count);
     if seen.off < 0.0 {
         return false;
@@ -96,7 +97,7 @@ fn set_shape(at: u32, index: u32, instance: Instance, survivor: Survivor, first_
             high = max(high, turned + wider);
         }
         let far = max(abs(low), abs(high));
-        if (high.x - low.x) * (high.y - low.y) < WORTH_TURNING * size.x * size.y && max(far.x, far.y) < MOST_PIXELS {
+        if (high.x - low.x) * (high.y - low.y) < WORTH_TURNING * size.x * size.y && max(far.x, far.y) < MAX_PIXELS {
             direction = seen.direction;
             least = low;
             greatest = high;

@@ -6,8 +6,8 @@
 @group(0) @binding(1) var<storage, read> keys: array<vec2u>;
 @group(0) @binding(2) var<storage, read> seen_slots: array<u32>;
 @group(0) @binding(3) var<storage, read> records: array<u32>;
-// Words: SAMPLES_AT words of header (number of samples, columns of a turn if they wrap around), samples of SAMPLE_WORDS (place in
-// the line frame, row-major pixel, offset of its feature's slots), then lists of slots (count, slots).
+// Words: SAMPLES_AT words of header (number of samples, columns of a turn if they wrap around), samples of SAMPLE_WORDS
+// (place in the line frame, row-major pixel, offset of its feature's slots), then lists of slots (count, slots).
 @group(0) @binding(4) var<storage, read> asked: array<u32>;
 @group(0) @binding(5) var<storage, read_write> answers: array<u32>;
 

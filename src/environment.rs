@@ -12,6 +12,4 @@ pub use presight_model::environment::{
 #[doc(inline)]
 pub use presight_model::geometry::Aabb;
 #[doc(inline)]
-pub use presight_model::index::{IndexKind, Params as IndexParams};
-#[doc(inline)]
-pub use presight_read::preparation::lost_features;
+pub use presight_model::index::IndexKind;

@@ -33,4 +33,4 @@
 #[doc(inline)]
 pub use presight_explore::occupancy::{Cell, Grid, GridOptions};
 #[doc(inline)]
-pub use presight_explore::{Areas, Exploration, ExploreOptions, ExploredObject, Follower, Known, Views};
+pub use presight_explore::{Areas, Exploration, ExploreOptions, ExploredObject, Follower, FoundPose, Known, Views};

@@ -1,4 +1,5 @@
-//! Files: scenes, sensors, images, points, layers, logs, poses and stores. Pictures are in the crate `presight-pictures`.
+//! Files: scenes, sensors, images, points, layers, logs, poses and stores. Pictures are in the crate
+//! `presight-pictures`.
 #![doc = include_str!("../docs/formats.md")]
 
 #[doc(inline)]
@@ -8,10 +9,9 @@ pub use presight_files::costs::{read as read_costs, write as write_costs};
 #[doc(inline)]
 pub use presight_files::exr::{Attributes as ExrAttributes, ImageFile, read as read_exr, write as write_exr};
 #[doc(inline)]
-pub use presight_files::npy::{
-    Values as NpyValues, header as npy_header, image_shape as npy_shape, write as write_npy_values,
-    write_image as write_npy, write_rays as write_rays_npy,
-};
+pub use presight_files::npy::{image_shape as npy_shape, write_image as write_npy, write_rays as write_rays_npy};
+#[doc(inline)]
+pub use presight_files::npy_stack::NpyStack;
 #[doc(inline)]
 pub use presight_files::pcd::write as write_pcd;
 #[doc(inline)]
@@ -23,15 +23,15 @@ pub use presight_files::prediction_json::{
 #[doc(inline)]
 pub use presight_read::camera_info::read as read_camera_info;
 #[doc(inline)]
-pub use presight_read::cloud::read as read_cloud;
+pub use presight_read::cloud::{Cloud, read as read_cloud};
 #[doc(inline)]
 pub use presight_read::depth_folder::{DepthFolder, camera_json, image_name, poses_txt};
 #[doc(inline)]
-pub use presight_read::gltf::{ImportOptions, import as import_gltf, import_bytes as import_gltf_bytes, write_glb};
+pub use presight_read::gltf::{ImportOptions, write_glb};
 #[doc(inline)]
 pub use presight_read::layer::{
     LayerFile, entry as layer_entry, parse as parse_layer, read as read_layer, schema as layer_schema,
-    to_fields as layer_fields, to_string as layer_to_string, write as write_layer,
+    serializable as layer_fields, to_string as layer_to_string, write as write_layer,
     write_with_lost as write_layer_with_lost,
 };
 #[cfg(feature = "ros")]
@@ -40,11 +40,13 @@ pub use presight_read::log::bag::BagReport;
 #[doc(inline)]
 pub use presight_read::log::lines::{header as range_log_header, line as range_log_line};
 #[doc(inline)]
-pub use presight_read::log::{BagOptions, Frames as LogFrames, LogFrame, Observation, Readings, read_frame};
+pub use presight_read::log::{BagOptions, Frames as LogFrames, LogFrame, Observation, notice_of_readings, read_frame};
 #[doc(inline)]
 pub use presight_read::pose_covariance::{file as pose_covariance_file, parse as parse_pose_covariance};
 #[doc(inline)]
-pub use presight_read::preparation::{SceneFrame, Up, mesh_of_triangles};
+pub use presight_read::preparation::{
+    ImportReport, Problem, ProblemKind, SceneFrame, Up, lost_features as problem_of_lost_features, mesh_of_triangles,
+};
 #[doc(inline)]
 pub use presight_read::sensor_toml::{
     parse as parse_sensor_toml, read as read_sensor_toml, to_string as sensor_to_toml,
@@ -55,4 +57,4 @@ pub use presight_read::tum::{
     stream_with_stamps as stream_tum_with_stamps,
 };
 #[doc(inline)]
-pub use presight_read::{files_named_by, load_rectified, load_robot, load_sensor, not_built};
+pub use presight_read::{Robot, files_named_by, load_rectified, load_robot, load_sensor, not_built};

@@ -7,15 +7,15 @@
 //! # A tour
 //!
 //! ```
-//! use presight::features::FeatureOptions;
-//! use presight::features::BoxOptions;
+//! use presight::features::{BoxOptions, FeatureOptions};
 //! use presight::{Options, Predictor, Request, Scene, SensorPose};
 //! # use presight::features::{GenerateOptions, generate};
 //!
 //! let scene = Scene::open("scenes/room.glb")?;
 //! # let folder = tempfile::tempdir().unwrap();
 //! # let layer = folder.path().join("room.video.layer.json");
-//! # presight::files::write_layer(&layer, &generate(scene.world.environment(), "video", &GenerateOptions::default())?.layer)?;
+//! # let made = generate(scene.world.environment(), "video", &GenerateOptions::default())?;
+//! # presight::files::write_layer(&layer, &made.layer)?;
 //! let features = scene.place_layers(&[layer], "video")?; // written by `presight features`
 //! let camera = presight::preset("realsense-d435")?;
 //! let pose = SensorPose::from_xyz_rpy(glam::DVec3::new(0.3, 0.35, 1.65), 0.0, 0.2, 0.66);
@@ -29,20 +29,21 @@
 //! # Ok::<(), presight::Error>(())
 //! ```
 //!
-//! 1. **Scene.** [`Scene::open`] reads a glTF model, a script or a stored environment. Its [`World`] is one version of an
-//!    [`environment::Environment`] (objects, polygons, materials, feature layers) with its spatial index. [`World::apply`]
-//!    makes the next version.
+//! 1. **Scene.** [`Scene::open`] reads a glTF model, a script or a stored environment. Its [`World`] is one version of
+//!    an [`environment::Environment`] (objects, polygons, materials, feature layers) with its spatial index.
+//!    [`World::apply`] makes the next version.
 //! 2. **Sensor.** A [`Sensor`] is a [`preset`], a file ([`files::load_sensor`]), or made from a [`sensor::SensorSpec`].
 //!    [`SensorPose`] is where it is, and [`RobotPose`] where its robot is; its mount leads from one to the other.
 //!    [`sensor::ExternalPose`] reads poses of robots, optical frames and glTF axes as the pose of a sensor.
 //! 3. **Prediction.** [`Predictor::predict`] takes world, sensor, pose and [`Request`]. Its [`Prediction`] holds the
-//!    [`Images`], the visible parts of each [feature](features) and its [region of interest](features#regions-of-interest), and [`Stats`].
-//!    [`predict`] predicts at many poses and within a deadline.
+//!    [`Images`], the visible parts of each [feature](features) and its [region of
+//!    interest](features#regions-of-interest), and [`Stats`]. [`predict`] predicts at many poses and within a deadline.
 //! 4. **Tasks.** [`virtual_sensors`] reduce a view, predicted or measured, to what one task needs, such as free floor.
-//! 5. **Reality.** A [`measured::Frame`] holds a measurement. [`verdict`] compares it with the prediction pixel by pixel,
-//!    [`localize`] computes the robot's pose, tracks it and follows features. [`simulate`]
+//! 5. **Reality.** A [`measured::Frame`] holds a measurement. [`verdict`] compares it with the prediction pixel by
+//!    pixel, [`localize`] computes the robot's pose, tracks it and follows features. [`simulate`]
 //!    makes measurements for tests. `update` learns what differs from the model.
-//! 6. **Files.** [`files`] reads and writes EXR, PLY, PCD, NumPy, JSON and TOML. The crate `presight-pictures` draws PNG.
+//! 6. **Files.** [`files`] reads and writes EXR, PLY, PCD, NumPy, JSON and TOML. The crate `presight-pictures` draws
+//!    PNG.
 //!
 //! A world can also be built in code:
 //!
@@ -71,13 +72,13 @@
 //! # Conventions
 //!
 //! Lengths are metres and angles are radians. Frames are right-handed: x forward, y left, z up. The optical frame of a
-//! camera has z forward, x right, y down. `a_from_b` turns coordinates in b into coordinates in a. Every function that can
-//! fail returns [`Error`], which names the file, the place in it and a remedy.
+//! camera has z forward, x right, y down. `a_from_b` turns coordinates in b into coordinates in a. Every function that
+//! can fail returns [`Error`], which names the file, the place in it and a remedy.
 //!
 //! # Cargo features
 //!
-//! `gpu` (the wgpu engine), `script` (scenes as scripts) and `store` (stored environments) are on by default. Everything else
-//! works without them.
+//! `gpu` (the wgpu engine), `script` (scenes as scripts) and `store` (stored environments) are on by default.
+//! Everything else works without them.
 
 pub mod environment;
 #[cfg(feature = "store")]

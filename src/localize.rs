@@ -2,7 +2,7 @@
 //!
 //! A scanner at an unknown pose, in a room where no two places look alike:
 //! ```
-//! use presight::localize::{EstimateOptions, Estimator, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step};
+//! use presight::localize::{EstimateOptions, Estimator, LocalizeOptions, Localizer, Phase, Search, SearchOptions};
 //! use presight::simulate::{Disturbances, Simulator};
 //! use presight::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
 //! use presight::sensor::Noise;
@@ -21,7 +21,8 @@
 //! }
 //! let world = World::new(environment);
 //! let mut spec = presight::preset("laser-scanner")?.spec().clone();
-//! (spec.range_max, spec.mount.translation.z, spec.noise) = (10.0, 1.0, Noise { range_sigma: 0.02, ..Noise::default() });
+//! (spec.range_max, spec.mount.translation.z) = (10.0, 1.0);
+//! spec.noise = Noise { range_sigma: 0.02, ..Noise::default() };
 //! let scanner = Sensor::new(spec)?;
 //!
 //! let mut estimator = Estimator::new(Predictor::new(Options::default())?, EstimateOptions::planar());
@@ -45,7 +46,8 @@
 //!
 //! An estimate is the robot's pose from one or more measured frames, with its covariance.
 //!
-//! A scanner at the origin has a corner before it: walls at x = 3 and y = 2. It stands 2 cm farther forward than it believes.
+//! A scanner at the origin has a corner before it: walls at x = 3 and y = 2. It stands 2 cm farther forward than it
+//! believes.
 //! ```
 //! use presight::localize::{EstimateOptions, Estimator, Freedom};
 //! use presight::simulate::{Disturbances, Simulator};
@@ -109,16 +111,21 @@
 #![doc = include_str!("../docs/history.md")]
 
 #[doc(inline)]
-pub use presight_localize::estimate::{Estimate, EstimateOptions, Estimator, Freedom, Preset, nees};
+pub use presight_localize::estimate::{
+    Estimate, EstimateOptions, EstimateState, Estimator, Freedom, Hypothesis, SeenDeviation, WeakDirection, nees,
+};
 #[doc(inline)]
-pub use presight_localize::extract::{FeatureClass, Findings, is_sought};
+pub use presight_localize::extract::{FeatureClass, FeatureFinding, FeatureFindings, is_sought};
 #[doc(inline)]
 pub use presight_localize::history::{
     End, ImageExtent, Match, MatchOutcome, Seed, Track, Tracker, TrackerOptions, Window,
 };
 #[doc(inline)]
 pub use presight_localize::localize::{
-    Candidate, ErrorRates, LocalizeOptions, Localizer, Phase, Search, SearchOptions, Step,
+    Candidate, ErrorRates, LocalizeOptions, Localizer, MotionNoise, Phase, Search, SearchOptions, Step,
 };
 #[doc(inline)]
-pub use presight_localize::matching::{Detection, DetectionProperties, ExpectedProperties, Matcher, Shape};
+pub use presight_localize::matching::{
+    Detection, DetectionProperties, ExpectedProperties, Marker, Matcher, PropertyNoise, Rejection, Shape,
+    UncertainValue,
+};

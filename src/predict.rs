@@ -28,10 +28,10 @@ pub use presight_predict::free_poses::free_poses;
 #[doc(inline)]
 pub use presight_render::cost::CostModel;
 #[doc(inline)]
-pub use presight_render::deadline::{DeadlineOutcome, Degradation, Priority};
-#[doc(inline)]
-pub use presight_render::plan::{
-    CountName, Maker, SampleKind, Samples, SamplesMut, StageName, StageRow, StageVariant, Work,
+pub use presight_render::deadline::{
+    DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, Priority,
 };
+#[doc(inline)]
+pub use presight_render::plan::{Samples, SamplesMut, StageRow};
 #[doc(inline)]
 pub use presight_render::points::{PointCloud, PointsFrame};

@@ -5,7 +5,7 @@ pub use presight_model::limits::{
     MAX_COORDINATE, MAX_FILE_BYTES, MAX_IMAGE_SIDE, MAX_LINE_BYTES, MAX_SERIES, MAX_SHOWN,
 };
 #[doc(inline)]
-pub use presight_model::memory::{FrameMemory, of_writing, require, reserved};
+pub use presight_model::memory::{FrameMemory, of_writing as memory_of_writing, require as require_memory, reserved};
 #[doc(inline)]
 pub use presight_model::printable::{clipped, printable, quoted};
 #[doc(inline)]
@@ -13,12 +13,14 @@ pub use presight_model::statistics::{median, quantile, upper_median};
 #[doc(inline)]
 pub use presight_model::threads::{PerProcess, this_process};
 #[doc(inline)]
-pub use presight_read::atomic::{is_given, keep_rights, open_to_replace, refused, target_of, write_atomically};
+pub use presight_read::atomic::{is_given, refused as write_error, target_of, write_atomically};
 #[doc(inline)]
-pub use presight_read::file::{open, open_any, read, starts_with, without_mark};
+pub use presight_read::file::{
+    open as open_file, open_any as open_stream, read as read_file, starts_with as file_starts_with, without_mark,
+};
 #[doc(inline)]
 pub use presight_read::growing::{GrowingFile, is_through};
 #[doc(inline)]
-pub use presight_read::temporary::{Access, Temporary, abandon};
+pub use presight_read::temporary::{abandon as abandon_files, create_folder};
 #[doc(inline)]
 pub use presight_read::text::{check_name, read_settings, read_text};

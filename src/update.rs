@@ -4,7 +4,7 @@
 
 #[doc(inline)]
 pub use presight_update::{
-    Action, Applied, BestView, DoubtfulObject, Evidence, Finding, FindingKind, Findings, LearnOptions, Learner,
-    Library, LibraryShape, PendingChanges, PlannedView, Policy, ProgramRecognizer, Proposal, Recognized, Recognizer,
-    RefinedPose, Tally, UprightBox,
+    Action, Applied, BestView, DoubtfulObject, Evidence, Finding, FindingKind, LearnOptions, Learner, Library,
+    LibraryShape, PendingChanges, PlannedView, Policy, ProgramRecognizer, Proposal, Recognized, Recognizer,
+    SiteFindings, Tally, UprightBox,
 };

@@ -1,4 +1,4 @@
-//! Verdicts: what a measured image says of the prediction, pixel by pixel.
+//! Verdicts: the agreement of a measured image with its prediction, pixel by pixel.
 //!
 //! ```
 //! use glam::DVec3;

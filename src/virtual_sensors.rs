@@ -3,5 +3,5 @@
 
 #[doc(inline)]
 pub use presight_predict::virtual_sensors::{
-    Answer, Corridor, CorridorFrame, Mask, Settings, View, VirtualReading, VirtualSensor,
+    Corridor, CorridorFrame, Mask, Settings, View, ViewIds, VirtualReading, VirtualSensor,
 };

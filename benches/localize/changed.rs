@@ -19,7 +19,7 @@ use presight_read::preset;
 use presight_testkit::caster::Caster;
 use presight_testkit::changes::{Shares, changed};
 use presight_testkit::oracle::Oracle;
-use presight_testkit::way::{Driving, Way};
+use presight_testkit::route::{Driving, Route};
 use presight_testkit::{Random, data, scenes};
 use std::sync::Arc;
 
@@ -135,7 +135,7 @@ fn localized(log: &Log) -> Row {
                 (found.translation - truth.translation).length(),
                 found.rotation.angle_between(truth.rotation).to_degrees(),
             );
-            let (squared, axes) = nees(&step.pose, truth);
+            let (squared, axes) = nees(&step.pose, &RobotPose::new(*truth));
             let is_near = off.0 < 0.05 && off.1 < 1.0;
             line += &format!("; {:.3} m {:.2} deg, NEES {:.1}", off.0, off.1, squared / axes.max(1) as f64);
             if is_tracking {
@@ -197,10 +197,10 @@ fn depth_camera() -> Sensor {
     Sensor::new(spec).expect("a camera")
 }
 
-/// A drive on a way through a changed world.
+/// A drive on a route through a changed world.
 struct Drive<'a> {
     world: &'a World,
-    way: Way,
+    route: Route,
     sensor: Sensor,
     shares: Shares,
     walkers: usize,
@@ -212,19 +212,19 @@ struct Drive<'a> {
 impl<'a> Drive<'a> {
     fn new(world: &'a World, frames: usize, seed: u64) -> Self {
         let driving = Driving { seconds: 0.1 * frames as f64 + 1.0, speed: 0.7, turn: 0.7 };
-        let way = wander(world, &driving, seed);
-        Self { world, way, sensor: scanner(true), shares: EXACT, walkers: 3, hertz: 10.0, frames, seed }
+        let route = wander(world, &driving, seed);
+        Self { world, route, sensor: scanner(true), shares: EXACT, walkers: 3, hertz: 10.0, frames, seed }
     }
 
     fn caster(&self, shares: Shares) -> Caster {
-        let (real, _) = changed(self.world.environment(), shares, &self.way, self.seed);
-        Caster::new(&real, self.sensor.clone(), self.seed).with_walkers(self.walkers, &self.way, self.seed)
+        let (real, _) = changed(self.world.environment(), shares, &self.route, self.seed);
+        Caster::new(&real, self.sensor.clone(), self.seed).with_walkers(self.walkers, &self.route, self.seed)
     }
 
     /// The log by a caster, which changes at a frame to the one of other shares.
     fn log(&self, mut caster: Caster, then: Option<(usize, Shares)>) -> Log {
         let (slip, turn_s, jitter) = (caster.slip, caster.turn_s, caster.jitter);
-        let pose = |t: f64| self.way.at(t);
+        let pose = |t: f64| self.route.at(t);
         let (mut frames, mut truth) = (Vec::new(), Vec::new());
         for k in 0..self.frames {
             if let Some((at, shares)) = then
@@ -247,11 +247,11 @@ impl<'a> Drive<'a> {
     }
 }
 
-fn wander(world: &World, driving: &Driving, seed: u64) -> Way {
+fn wander(world: &World, driving: &Driving, seed: u64) -> Route {
     let environment = world.environment();
     let bounds = environment.bounds();
     let oracle = Oracle::new(environment, 0.5 * (bounds.min + bounds.max)).expect("something is there");
-    Way::wander(&oracle, &bounds, driving, seed)
+    Route::wander(&oracle, &bounds, driving, seed)
 }
 
 /// What a case makes of a scene; `other` is another building.
@@ -283,7 +283,7 @@ const CASES: [(&str, Maker); 15] = [
 
 fn without_odometry(world: &World, _: &World, frames: usize, seed: u64) -> Log {
     let driving = Driving { seconds: 0.2 * frames as f64 + 1.0, speed: 0.7, turn: 0.7 };
-    let drive = Drive { way: wander(world, &driving, seed), hertz: 5.0, ..Drive::new(world, frames, seed) };
+    let drive = Drive { route: wander(world, &driving, seed), hertz: 5.0, ..Drive::new(world, frames, seed) };
     let mut caster = drive.caster(EXACT);
     caster.slip = None;
     drive.log(caster, None)
@@ -300,7 +300,7 @@ fn elsewhere_with(world: &World, log: Log, given: bool, seed: u64) -> Log {
     Log { map: world.clone(), truth: vec![None; log.frames.len()], start, ..log }
 }
 
-/// The map shows the building from behind: each scan is the other way round.
+/// The map shows the building from behind: each scan is mirrored.
 fn mirrored(world: &World, _: &World, frames: usize, seed: u64) -> Log {
     let log = Drive { walkers: 0, ..Drive::new(world, frames, seed) }.usual();
     Log { truth: vec![None; frames], ..from_behind(log) }
@@ -338,7 +338,7 @@ fn carried_away(world: &World, _: &World, frames: usize, seed: u64) -> Log {
 fn turning(world: &World, frames: usize, turn_s: f64, seed: u64) -> Log {
     let driving = Driving { seconds: 0.1 * frames as f64 + 1.0, speed: 1.5, turn: 1.0 };
     let sensor = Sensor::new(scanner(true).spec().clone().with_turn_s(turn_s)).expect("a scanner");
-    let drive = Drive { way: wander(world, &driving, seed), walkers: 0, sensor, ..Drive::new(world, frames, seed) };
+    let drive = Drive { route: wander(world, &driving, seed), walkers: 0, sensor, ..Drive::new(world, frames, seed) };
     let mut caster = drive.caster(EXACT);
     caster.turn_s = turn_s;
     drive.log(caster, None)
@@ -347,8 +347,8 @@ fn turning(world: &World, frames: usize, turn_s: f64, seed: u64) -> Log {
 /// One person always stands 1.8 m before a depth camera; without odometry.
 fn person(world: &World, frames: usize, model_sigma: Option<f64>, seed: u64) -> Log {
     let driving = Driving { seconds: 0.1 * frames as f64 + 1.0, speed: 0.4, turn: 0.4 };
-    let way = wander(world, &driving, seed);
-    let drive = Drive { way, sensor: depth_camera(), walkers: 0, ..Drive::new(world, frames, seed) };
+    let route = wander(world, &driving, seed);
+    let drive = Drive { route, sensor: depth_camera(), walkers: 0, ..Drive::new(world, frames, seed) };
     let mut caster = drive.caster(EXACT).with_person_before(1.8);
     caster.slip = None;
     Log { model_sigma, ..drive.log(caster, None) }
@@ -360,11 +360,11 @@ fn corridor(frames: usize) -> Log {
     let walls = Mesh::cuboid("walls", Vec3::new(-60.0, -1.1, 0.0), Vec3::new(60.0, 1.1, 2.5), 0).expect("a box");
     environment.insert(NewObject::new("walls", Pose::IDENTITY, Arc::new(walls))).expect("a sound object");
     let world = World::new(environment);
-    let way = Way::straight([-10.0, 0.2, 0.0], 0.5, 0.1 * frames as f64 + 1.0);
+    let route = Route::straight([-10.0, 0.2, 0.0], 0.5, 0.1 * frames as f64 + 1.0);
     let mut spec = scanner(true).spec().clone();
     spec.range_max = 8.0;
     let sensor = Sensor::new(spec).expect("a scanner");
-    let drive = Drive { world: &world, way, sensor, shares: EXACT, walkers: 0, hertz: 10.0, frames, seed: 1 };
+    let drive = Drive { world: &world, route, sensor, shares: EXACT, walkers: 0, hertz: 10.0, frames, seed: 1 };
     let mut caster = drive.caster(EXACT);
     caster.slip = None;
     drive.log(caster, None)
@@ -376,7 +376,7 @@ fn hard_views(world: &World, shares: Shares, walkers: usize, seed: u64) -> Log {
     let bounds = environment.bounds();
     let oracle = Oracle::new(environment, 0.5 * (bounds.min + bounds.max)).expect("something is there");
     let driving = Driving { seconds: 1.0, speed: 0.3, turn: 0.3 };
-    let start = Way::wander(&oracle, &bounds, &driving, seed).at(0.0);
+    let start = Route::wander(&oracle, &bounds, &driving, seed).at(0.0);
     let mut random = Random(seed);
     let is_free = |at: DVec3| {
         (0..24).all(|k| {
@@ -395,9 +395,9 @@ fn hard_views(world: &World, shares: Shares, walkers: usize, seed: u64) -> Log {
     }
     let mut spec = preset("laser-range-camera").expect("a preset").spec().clone();
     spec.mount.translation = DVec3::new(0.0, 0.0, 1.7);
-    let way = Way::straight([start.translation.x, start.translation.y, 0.0], 0.0, 1.0);
-    let (real, _) = changed(environment, shares, &way, seed);
-    let mut caster = Caster::new(&real, Sensor::new(spec).expect("a camera"), seed).with_walkers(walkers, &way, seed);
+    let route = Route::straight([start.translation.x, start.translation.y, 0.0], 0.0, 1.0);
+    let (real, _) = changed(environment, shares, &route, seed);
+    let mut caster = Caster::new(&real, Sensor::new(spec).expect("a camera"), seed).with_walkers(walkers, &route, seed);
     let pose = |t: f64| poses[(t.round() as usize).min(59)];
     let frames = (0..60).map(|k| caster.frame(&pose, f64::from(k), (k > 0).then(|| f64::from(k - 1)))).collect();
     let truth = poses.iter().copied().map(Some).collect();
@@ -408,7 +408,7 @@ fn hard_views(world: &World, shares: Shares, walkers: usize, seed: u64) -> Log {
 fn malaga(given: bool, shares: Shares, seed: u64) -> Option<Log> {
     let log = data::file("lidar2d/malaga_corridor_run_scans.json")?;
     let map = super::map(&data::file("lidar2d/malaga_corridor_map.glb")?);
-    let map = World::new(changed(map.environment(), shares, &Way::straight([0.0; 3], 0.0, 1.0), seed).0);
+    let map = World::new(changed(map.environment(), shares, &Route::straight([0.0; 3], 0.0, 1.0), seed).0);
     let read: Vec<_> =
         Frames::open(&log, None, &Default::default()).expect("a log").map(|o| o.expect("a scan")).collect();
     let truth: Vec<Option<Pose>> = read.iter().map(|o| o.reference.map(|robot| robot.world_from_robot())).collect();
@@ -525,7 +525,7 @@ pub fn leads(words: &[String]) {
         // Three seconds apart: other views.
         let driving = Driving { seconds: frames as f64 / 0.3 + 1.0, speed: 0.7, turn: 0.7 };
         let scans = |w: &World, shares| {
-            Drive { hertz: 0.3, shares, way: wander(w, &driving, 1), ..Drive::new(w, frames, 1) }.usual()
+            Drive { hertz: 0.3, shares, route: wander(w, &driving, 1), ..Drive::new(w, frames, 1) }.usual()
         };
         for (kind, log) in [
             ("of another building", scans(&other, EXACT)),

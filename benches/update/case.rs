@@ -11,7 +11,7 @@ use presight_testkit::Random;
 use presight_testkit::caster::Caster;
 use presight_testkit::changes::is_furniture;
 use presight_testkit::oracle::Oracle;
-use presight_testkit::way::{Driving, Way};
+use presight_testkit::route::{Driving, Route};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// How much is changed.
@@ -42,16 +42,16 @@ pub struct Case {
     pub removed: BTreeSet<String>,
     pub moved: BTreeMap<String, Pose>,
     pub added: BTreeSet<String>,
-    pub way: Way,
+    pub route: Route,
     seed: u64,
     amounts: Amounts,
 }
 
-fn way_of(map: &Environment, views: usize, seed: u64) -> Way {
+fn route_of(map: &Environment, views: usize, seed: u64) -> Route {
     let bounds = map.bounds();
     let oracle = Oracle::new(map, bounds.center()).expect("something to see");
     let driving = Driving { seconds: 0.5 * views as f64 / SPEED, speed: SPEED, turn: 0.7 };
-    Way::wander(&oracle, &bounds, &driving, seed)
+    Route::wander(&oracle, &bounds, &driving, seed)
 }
 
 /// Metres per second: two views a second are 0.5 m apart.
@@ -77,16 +77,16 @@ fn is_free(site: &Environment, name: &str, bounds: &Aabb) -> bool {
     })
 }
 
-/// True if a box stays off the way.
-fn is_clear(bounds: &Aabb, way: &Way) -> bool {
+/// True if a box stays off the route.
+fn is_clear(bounds: &Aabb, route: &Route) -> bool {
     let (half, c) = (bounds.half_extent(), bounds.center());
-    way.places().all(|[x, y]| (c.x - x).abs() > half.x + 0.4 || (c.y - y).abs() > half.y + 0.4)
+    route.places().all(|[x, y]| (c.x - x).abs() > half.x + 0.4 || (c.y - y).abs() > half.y + 0.4)
 }
 
 impl Case {
     /// Changes a model. The same seed gives the same site and drive.
     pub fn new(map: Environment, amounts: Amounts, seed: u64) -> Self {
-        let way = way_of(&map, amounts.views, seed);
+        let route = route_of(&map, amounts.views, seed);
         let mut random = Random(seed ^ 0x7570_6461_7465);
         let mut names: Vec<String> = map.objects().iter().filter(|o| is_furniture(o)).map(|o| o.name.clone()).collect();
         (1..names.len()).rev().for_each(|k| names.swap(k, random.below(k + 1)));
@@ -108,7 +108,7 @@ impl Case {
                     rotation: (turn * pose.rotation).normalize(),
                 };
                 let there = bounds_at(object, &pose);
-                if is_free(&site, name, &there) && is_clear(&there, &way) {
+                if is_free(&site, name, &there) && is_clear(&there, &route) {
                     site.set_pose(name, pose).expect("a sound pose");
                     moved.insert(name.clone(), pose);
                     break;
@@ -116,7 +116,7 @@ impl Case {
             }
         }
         let mut added = BTreeSet::new();
-        let places: Vec<[f64; 2]> = way.places().collect();
+        let places: Vec<[f64; 2]> = route.places().collect();
         for k in 0..40 * amounts.added {
             if added.len() == amounts.added {
                 break;
@@ -129,7 +129,7 @@ impl Case {
             let pose = Pose { translation: pose.translation + to - middle(object), ..pose };
             let there = bounds_at(object, &pose);
             let small = there.size() > 0.25 && there.min.z < 0.3;
-            if small && is_free(&site, "", &there) && is_clear(&there, &way) {
+            if small && is_free(&site, "", &there) && is_clear(&there, &route) {
                 let name = format!("added {}", added.len());
                 let new = NewObject {
                     object_from_mesh: object.object_from_mesh,
@@ -139,17 +139,17 @@ impl Case {
                 added.insert(name);
             }
         }
-        Self { map: World::new(map), site: World::new(site), removed, moved, added, way, seed, amounts }
+        Self { map: World::new(map), site: World::new(site), removed, moved, added, route, seed, amounts }
     }
 
     /// Two states of a site, with the objects that one of them lacks.
     #[allow(dead_code, reason = "for one of those who use this file")]
     pub fn of(map: World, site: World, (removed, added): Changed, amounts: Amounts, seed: u64) -> Self {
-        let way = way_of(site.environment(), amounts.views, seed);
-        Self { map, site, removed, moved: BTreeMap::new(), added, way, seed, amounts }
+        let route = route_of(site.environment(), amounts.views, seed);
+        Self { map, site, removed, moved: BTreeMap::new(), added, route, seed, amounts }
     }
 
-    /// The same site on another way.
+    /// The same site on another route.
     #[allow(dead_code, reason = "for one of those who use this file")]
     pub fn on_another_way(&self, seed: u64, views: usize) -> Self {
         Self {
@@ -158,7 +158,7 @@ impl Case {
             removed: self.removed.clone(),
             moved: self.moved.clone(),
             added: self.added.clone(),
-            way: way_of(self.site.environment(), views, seed),
+            route: route_of(self.site.environment(), views, seed),
             seed,
             amounts: Amounts { views, ..self.amounts },
         }
@@ -168,22 +168,22 @@ impl Case {
     pub fn drive(&self, sensor: &Sensor, off: Off) -> Vec<(Frame, PoseEstimate, Pose)> {
         let mut caster = Caster::new(self.site.environment(), sensor.clone(), self.seed).with_walkers(
             self.amounts.walkers,
-            &self.way,
+            &self.route,
             self.seed,
         );
         let mut random = Random(self.seed ^ 0x706f_7365);
-        let way = self.way.clone();
+        let route = self.route.clone();
         let (metres, degrees) = off.stated;
         let rad = degrees.to_radians();
         let covariance = PoseCovariance::from_sigmas([metres, metres, metres, rad, rad, rad]);
         let mut frames = Vec::new();
         for k in 0..self.amounts.views {
             let time = 0.5 * k as f64;
-            if time > way.duration() {
+            if time > route.duration() {
                 break;
             }
-            let frame = caster.frame(&|t| way.at(t), time, None);
-            let truth = way.at(time);
+            let frame = caster.frame(&|t| route.at(t), time, None);
+            let truth = route.at(time);
             let error: [f64; 6] =
                 std::array::from_fn(|i| random.normal(if i < 3 { off.is.0 } else { off.is.1.to_radians() }));
             let estimate =

@@ -24,7 +24,7 @@ pub fn run() {
     let case = Case::new(environment, AMOUNTS, 1);
     for (name, sensor) in sensors() {
         let mut caster = Caster::new(case.site.environment(), sensor.clone(), 1);
-        let pose = |time: f64| case.way.at(time);
+        let pose = |time: f64| case.route.at(time);
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("a predictor");
         let options = EstimateOptions::of(&sensor);
         let options = if sensor.height() == 1 { options.with_freedom(Freedom::Planar) } else { options };

@@ -25,7 +25,7 @@ use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_read::{preset, sensor_toml};
 use presight_testkit::data;
-use presight_update::{Evidence, Findings, LearnOptions, Learner};
+use presight_update::{Evidence, LearnOptions, Learner, SiteFindings};
 use right::Right;
 use score::{HEAD, Score, score, share};
 use std::collections::BTreeMap;
@@ -222,7 +222,7 @@ fn right_pixels(seeds: u64, (chosen, scenes, sensor_names): (Choice<'_>, &str, &
 }
 
 /// What one drive teaches, whose sensors have these frames.
-fn learnt(case: &Case, drives: &[Drive]) -> (Learner, Findings) {
+fn learnt(case: &Case, drives: &[Drive]) -> (Learner, SiteFindings) {
     let mut learner = Learner::new(LearnOptions::default()).expect("sound options");
     for (k, (_, pose, _)) in drives[0].iter().enumerate() {
         let frames: Vec<_> = drives.iter().map(|drive| &drive[k].0).collect();

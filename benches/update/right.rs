@@ -7,7 +7,7 @@ use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_render::plan::{Images, Output, Outputs};
-use presight_update::{FindingKind, Findings};
+use presight_update::{FindingKind, SiteFindings};
 
 /// Ranges that differ by no more are the same, metres.
 const SAME: f64 = 0.1;
@@ -43,7 +43,7 @@ impl Right {
     }
 }
 
-fn after(map: &World, findings: &Findings, with_boxes: bool) -> World {
+fn after(map: &World, findings: &SiteFindings, with_boxes: bool) -> World {
     let mut after = map.clone();
     let counts = |kind: &FindingKind| with_boxes || !matches!(kind, FindingKind::New(_));
     let changes = findings.changes.iter().filter(|finding| counts(&finding.kind));
@@ -52,14 +52,14 @@ fn after(map: &World, findings: &Findings, with_boxes: bool) -> World {
 }
 
 /// Counts the pixels of a sensor on another way through the site.
-pub fn count(case: &Case, sensor: &Sensor, findings: &Findings, seed: u64) -> Right {
+pub fn count(case: &Case, sensor: &Sensor, findings: &SiteFindings, seed: u64) -> Right {
     let other = case.on_another_way(seed + 100, VIEWS);
     let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).expect("a predictor");
     let worlds =
         [case.map.clone(), case.site.clone(), after(&case.map, findings, true), after(&case.map, findings, false)];
     let mut right = Right::default();
     for k in 0..VIEWS {
-        let pose: Pose = other.way.at(0.5 * k as f64) * sensor.spec().mount;
+        let pose: Pose = other.route.at(0.5 * k as f64) * sensor.spec().mount;
         let ranges = worlds.each_ref().map(|world| {
             let mut images = Images::default();
             let range = Outputs::of(&[Output::Range]);

@@ -7,7 +7,7 @@ use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::sensor::Sensor;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_render::plan::{Images, Output, Outputs};
-use presight_update::{FindingKind, Findings, UprightBox};
+use presight_update::{FindingKind, SiteFindings, UprightBox};
 use std::collections::BTreeMap;
 
 /// A change is visible if this number of pixels changes by more than this distance, metres, in this number of views.
@@ -166,7 +166,7 @@ fn holds(b: &Aabb, p: DVec3) -> bool {
 }
 
 /// Compares findings with the truth.
-pub fn score(case: &Case, sensors: &[&Sensor], poses: &[Pose], findings: &Findings) -> Score {
+pub fn score(case: &Case, sensors: &[&Sensor], poses: &[Pose], findings: &SiteFindings) -> Score {
     let (map, site) = (case.map.environment(), case.site.environment());
     let views = visible_by(case, sensors, poses);
     let is_visible = |name: &String| views.get(name).is_some_and(|n| n.0 >= VISIBLE.2);
@@ -271,7 +271,7 @@ pub fn score(case: &Case, sensors: &[&Sensor], poses: &[Pose], findings: &Findin
 }
 
 /// A report about an object.
-fn state(findings: &Findings, name: &str) -> String {
+fn state(findings: &SiteFindings, name: &str) -> String {
     let change = findings.changes.iter().find(|f| f.object == *name).map(|f| format!("{:?}", f.kind));
     let doubt = findings.doubts.iter().find(|d| d.object == *name).map(|d| format!("in doubt: {}", d.why));
     let stands = findings.confirmed.iter().any(|n| n == name).then(|| "confirmed".to_owned());
@@ -279,14 +279,14 @@ fn state(findings: &Findings, name: &str) -> String {
 }
 
 /// The box of something new that is nearest to a place.
-fn nearest(findings: &Findings, p: DVec3) -> String {
+fn nearest(findings: &SiteFindings, p: DVec3) -> String {
     let boxes = findings.changes.iter().filter_map(|f| if let FindingKind::New(b) = &f.kind { Some(b) } else { None });
     let far = |b: &UprightBox| b.pose.translation.distance(p);
     let near = boxes.min_by(|a, b| far(a).total_cmp(&far(b)));
     near.map_or_else(String::new, |b| format!("the nearest box {:.2} at {:.2}", b.size, b.pose.translation))
 }
 
-fn count_false(case: &Case, findings: &Findings, news: &[Aabb], score: &mut Score) {
+fn count_false(case: &Case, findings: &SiteFindings, news: &[Aabb], score: &mut Score) {
     let stands = |name: &str| !case.removed.contains(name) && !case.moved.contains_key(name);
     score.standing = findings.confirmed.iter().filter(|name| stands(name)).count();
     for finding in &findings.changes {

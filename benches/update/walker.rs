@@ -12,7 +12,7 @@ use presight_predict::predict::{Backend, Options, Predictor};
 use presight_read::sensor_toml;
 use presight_render::plan::{Images, Output, Outputs};
 use presight_testkit::caster::Caster;
-use presight_testkit::way::Way;
+use presight_testkit::route::Route;
 use presight_update::{FindingKind, LearnOptions, Learner};
 
 /// A range camera of 160 x 120 pixels, 72 degrees wide, 1.2 m above the floor.
@@ -32,10 +32,10 @@ pub fn strip(file: &str) {
     spec.mount = Pose::from_xyz_rpy(DVec3::new(0.0, 0.0, 1.2), 0.0, 0.1, 0.0);
     let sensor = Sensor::new(spec).expect("a sound sensor");
     // Slow, so that a person who walks 1 m/s crosses.
-    let way = Way::straight([0.7, 2.0, 0.1], 0.25, 12.0);
+    let route = Route::straight([0.7, 2.0, 0.1], 0.25, 12.0);
     let mut predictor = Predictor::new(Options::new(Backend::Cpu)).expect("a predictor");
     let mut predict = |world: &World, stamp: f64| {
-        let (mut images, at) = (Images::default(), way.at(stamp) * sensor.spec().mount);
+        let (mut images, at) = (Images::default(), route.at(stamp) * sensor.spec().mount);
         predictor
             .predict_images(world, &sensor, &SensorPose::new(at), Outputs::of(&[Output::Range]), &mut images)
             .expect("a prediction");
@@ -43,8 +43,8 @@ pub fn strip(file: &str) {
     };
     // The first draw in which somebody crosses.
     let draw = |seed: u64| {
-        let mut caster = Caster::new(world.environment(), sensor.clone(), seed).with_walkers(2, &way, seed);
-        (0..FRAMES).map(|k| caster.frame(&|t| way.at(t), STEP * k as f64, None)).collect::<Vec<Frame>>()
+        let mut caster = Caster::new(world.environment(), sensor.clone(), seed).with_walkers(2, &route, seed);
+        (0..FRAMES).map(|k| caster.frame(&|t| route.at(t), STEP * k as f64, None)).collect::<Vec<Frame>>()
     };
     let mut found = None;
     for seed in 1..100 {
@@ -64,7 +64,7 @@ pub fn strip(file: &str) {
     let mut learner = Learner::new(LearnOptions::default().with_view_distance(0.05)).expect("sound options");
     let sigmas = [0.002, 0.002, 0.002, 0.0005, 0.0005, 0.0005];
     for frame in &frames {
-        let pose = PoseEstimate::new(RobotPose::new(way.at(frame.stamp)), PoseCovariance::from_sigmas(sigmas));
+        let pose = PoseEstimate::new(RobotPose::new(route.at(frame.stamp)), PoseCovariance::from_sigmas(sigmas));
         learner.observe_at(&world, &[frame], &pose).expect("a view");
     }
     learner.end_drive();

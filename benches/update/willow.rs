@@ -15,7 +15,7 @@ use presight_predict::predict::{Backend, Options, Predictor};
 use presight_read::log::{LogFrame, lines};
 use presight_read::sensor_toml;
 use presight_testkit::{Random, data};
-use presight_update::{FindingKind, Findings, LearnOptions, Learner};
+use presight_update::{FindingKind, LearnOptions, Learner, SiteFindings};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
@@ -326,7 +326,7 @@ fn cut(environment: &Environment, object: &str, bounds: &Aabb) -> Vec<DVec2> {
 
 /// Pieces of wall of 0.5 m that were found missing, and the number of pieces that are farther than [`NEAR`] from
 /// anything real, in the median.
-fn missing(map: &Map, environment: &Environment, findings: &Findings) -> (usize, usize) {
+fn missing(map: &Map, environment: &Environment, findings: &SiteFindings) -> (usize, usize) {
     let (mut all, mut right) = (0, 0);
     for finding in &findings.changes {
         let bounds = match &finding.kind {

@@ -8,10 +8,11 @@ cd "$work"
 awk '/^```sh/ { code = 1; next } /^```/ { code = 0 } code' "$here/../tour.md" > tour.sh
 bash -e tour.sh
 cp tour/predicted.png "$here/tour-predict.png"
+cp tour/real.png "$here/tour-real.png"
 cp tour/shown/frames/000030.png "$here/tour-localize.png"
 cp tour/found/001.png "$here/tour-update.png"
 # The grid, four times as large, with the route in red.
-presight query tour/room.presight --path 0.7,0.8,0 5.2,3.6,0 --radius 0.25 --json > route.json
+presight query tour/room.presight --path 0.7,0.8,0 4.4,3.6,0 --radius 0.25 --json > route.json
 python3 - "$here/tour-query.png" <<'END'
 import json, re, struct, sys, zlib
 

@@ -4,7 +4,7 @@ use super::arrays::{is_aligned, outputs_of, shape_of};
 use super::errors::{Failed, apart, raised, room_for, usage};
 use super::predictor::{Predictor, RANGE};
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedArrayMethods};
-use presight::predict::{Batch, BatchItem, BatchRequest, SampleKind, Samples};
+use presight::predict::{Batch, BatchItem, BatchRequest, Samples};
 use presight::{Images, Output, Outputs, Sensor, SensorPose, World};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -157,7 +157,7 @@ impl<'py> Targets<'py> {
         let (numpy, arrays) = (py.import("numpy")?, PyDict::new(py));
         for output in outputs.iter() {
             let shape = [vec![count], shape_of((sensor.width(), sensor.height()), output)].concat();
-            let dtype = if output.info().kind == SampleKind::Id { "uint32" } else { "float32" };
+            let dtype = if output.is_of_ids() { "uint32" } else { "float32" };
             arrays.set_item(output.name(), numpy.call_method1("empty", (shape, dtype))?)?;
         }
         Ok(Self { outputs, count, arrays })
@@ -180,9 +180,9 @@ impl<'py> Targets<'py> {
             let shape = [vec![self.count], shape_of((sensor.width(), sensor.height()), output)].concat();
             held.push((
                 output,
-                match output.info().kind {
-                    SampleKind::Id => Borrowed::Ids(borrowed(&array, name, &shape)?),
-                    SampleKind::Float | SampleKind::Vector => Borrowed::Floats(borrowed(&array, name, &shape)?),
+                match output.is_of_ids() {
+                    true => Borrowed::Ids(borrowed(&array, name, &shape)?),
+                    false => Borrowed::Floats(borrowed(&array, name, &shape)?),
                 },
             ));
         }

@@ -142,7 +142,7 @@ impl Log {
             while let Some(frame) = log.next().transpose()? {
                 bytes += 8 * frame.frame.ranges().len() as u64;
                 if bytes > LOOK_BYTES {
-                    tools::require(LOOK_BYTES).map_err(|e| e.in_file(&path))?;
+                    tools::require_memory(LOOK_BYTES).map_err(|e| e.in_file(&path))?;
                     bytes = 0;
                 }
                 frames.push(frame);

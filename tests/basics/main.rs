@@ -2,10 +2,12 @@
 //! rules of this repository.
 
 mod architecture;
+mod facade;
 mod feature_reasons;
 mod from_bytes;
 mod lens_opencv;
 mod links;
+mod names;
 mod outputs;
 mod pictures;
 mod portable;

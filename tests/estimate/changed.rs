@@ -5,7 +5,7 @@ use presight_model::sensor::Sensor;
 use presight_testkit::caster::{Caster, Slip};
 use presight_testkit::changes::{Shares, changed, is_furniture};
 use presight_testkit::oracle::Oracle;
-use presight_testkit::way::{Driving, Way};
+use presight_testkit::route::{Driving, Route};
 
 /// A hall of 12 x 8 m with twenty crates along its walls.
 pub fn hall() -> World {
@@ -20,10 +20,10 @@ pub fn hall() -> World {
     World::new(environment)
 }
 
-pub fn wander(world: &World, seconds: f64) -> Way {
+pub fn wander(world: &World, seconds: f64) -> Route {
     let environment = world.environment();
     let oracle = Oracle::new(environment, DVec3::ZERO).unwrap();
-    Way::wander(&oracle, &environment.bounds(), &Driving { seconds, speed: 0.7, turn: 0.7 }, 3)
+    Route::wander(&oracle, &environment.bounds(), &Driving { seconds, speed: 0.7, turn: 0.7 }, 3)
 }
 
 /// Three of twenty crates (15 %) are gone and three moved, by 0.3 to 1.5 m. Walls stay, nothing moves into the way of the robot,
@@ -31,10 +31,10 @@ pub fn wander(world: &World, seconds: f64) -> Way {
 #[test]
 fn stated_shares_of_the_furniture_change() {
     let world = hall();
-    let (map, way) = (world.environment(), wander(&world, 20.0));
+    let (map, route) = (world.environment(), wander(&world, 20.0));
     assert_eq!(map.objects().iter().filter(|o| is_furniture(o)).count(), 20);
     let shares = Shares { gone: 0.15, moved: 0.15 };
-    let (real, counts) = changed(map, shares, &way, 1);
+    let (real, counts) = changed(map, shares, &route, 1);
     assert_eq!((counts.furniture, counts.gone), (20, 3));
     assert!((1..=3).contains(&counts.moved), "{counts:?}");
     assert_eq!(real.objects().iter().filter(|o| o.is_deleted()).count(), 3);
@@ -44,24 +44,24 @@ fn stated_shares_of_the_furniture_change() {
         let off = middle(a).distance(middle(b));
         assert!(off == 0.0 || (0.29..1.51).contains(&off) && a.name != "hall", "{} {off}", a.name);
         moved += usize::from(off > 0.0);
-        let near = way.places().map(|[x, y]| (middle(b).x - x).hypot(middle(b).y - y)).fold(f64::MAX, f64::min);
+        let near = route.places().map(|[x, y]| (middle(b).x - x).hypot(middle(b).y - y)).fold(f64::MAX, f64::min);
         assert!(off == 0.0 || near > 0.5, "{} {near}", b.name);
     }
     assert_eq!(moved, counts.moved);
-    let again = changed(map, shares, &way, 1).0;
+    let again = changed(map, shares, &route, 1).0;
     let poses = |e: &Environment| e.objects().iter().map(|o| o.world_from_object).collect::<Vec<_>>();
     assert_eq!(poses(&real), poses(&again));
-    assert_ne!(poses(&real), poses(&changed(map, shares, &way, 2).0));
+    assert_ne!(poses(&real), poses(&changed(map, shares, &route, 2).0));
 }
 
 /// A wandering robot keeps 0.3 m from everything, and neither its speed nor its turning exceeds the limits.
 #[test]
 fn ways_touch_nothing_and_keep_their_speed() {
     let world = hall();
-    let way = wander(&world, 30.0);
+    let route = wander(&world, 30.0);
     let mut length = 0.0;
     for k in 1..300 {
-        let (a, b) = (way.at(0.1 * f64::from(k - 1)), way.at(0.1 * f64::from(k)));
+        let (a, b) = (route.at(0.1 * f64::from(k - 1)), route.at(0.1 * f64::from(k)));
         let step = a.translation.distance(b.translation);
         length += step;
         assert!(step < 0.0701 && a.rotation.angle_between(b.rotation) < 0.0701, "{k}");
@@ -104,14 +104,14 @@ fn a_turn_takes_its_time_and_odometry_slips() {
     add_box(&mut environment, "hall", Vec3::ZERO, Vec3::new(12.0, 8.0, 3.0));
     let mut spec = scanner(1e-9).spec().clone();
     spec.mount.translation.z = 0.5;
-    let way = Way::straight([3.0, 4.0, 0.0], 1.0, 2.0);
+    let route = Route::straight([3.0, 4.0, 0.0], 1.0, 2.0);
     for (turn_s, range) in [(0.0, 9.0), (0.1, 8.95)] {
         let mut caster = Caster::new(&environment, Sensor::new(spec.clone()).unwrap(), 1);
         (caster.drop_outs, caster.mixed, caster.turn_s) = (0.0, 0.0, turn_s);
         caster.slip = Some(Slip { noise: [0.0; 2], ..Slip::USUAL });
-        let first = caster.frame(&|t| way.at(t), 0.0, None);
+        let first = caster.frame(&|t| route.at(t), 0.0, None);
         assert!((first.ranges()[180] - range).abs() < 1e-5, "{}", first.ranges()[180]);
-        let moved = caster.frame(&|t| way.at(t), 0.1, Some(0.0)).motion.unwrap().previous_from_current.translation;
+        let moved = caster.frame(&|t| route.at(t), 0.1, Some(0.0)).motion.unwrap().previous_from_current.translation;
         assert!((moved - DVec3::X * 0.102).length() < 1e-9, "{moved}");
     }
 }

@@ -46,7 +46,7 @@ struct Pair {
 }
 
 fn matched(features: &FeaturePrediction, image: &GreyImage, reach: Option<f64>) -> Vec<Pair> {
-    let options = EdgeOptions::default().with_noise(NOISE).with_least_support(0.7).with_most(1);
+    let options = EdgeOptions::default().with_noise(NOISE).with_min_support(0.7).with_max_edges(1);
     let mut pairs = Vec::new();
     for seen in &features.features {
         let [a, b] = seen.points_world[..] else { continue };
@@ -107,7 +107,7 @@ fn edges_alone_determine_the_pose() {
                 .unwrap();
         let (m, d) = apart(&found.pose.world_from_robot, &truth);
         (metres, degrees) = (metres.max(m), degrees.max(d));
-        let (squared, numbers) = nees(&found.pose, &truth);
+        let (squared, numbers) = nees(&found.pose, &RobotPose::new(truth));
         scores.push(squared / numbers as f64);
         assert!(found.weak.is_empty(), "{:?}", found.weak);
     }

@@ -7,7 +7,7 @@ use presight_localize::localize::Phase;
 use presight_model::geometry::RobotPose;
 use presight_testkit::caster::Caster;
 use presight_testkit::oracle::Oracle;
-use presight_testkit::way::{Driving, Way};
+use presight_testkit::route::{Driving, Route};
 
 /// A scanner takes 0.1 s for a turn on a robot of up to 1.5 m/s and 1 rad/s. The rest of its motion is in the covariance: the
 /// squared errors are as large as it says, by a factor of three at most. Without the unknown acceleration they are twenty times as large.
@@ -16,23 +16,23 @@ fn a_scan_that_turns_is_as_unsure_as_its_motion() {
     let world = hall();
     let oracle = Oracle::new(world.environment(), DVec3::ZERO).unwrap();
     let driving = Driving { seconds: 7.0, speed: 1.5, turn: 1.0 };
-    let way = Way::wander(&oracle, &world.environment().bounds(), &driving, 3);
+    let route = Route::wander(&oracle, &world.environment().bounds(), &driving, 3);
     let mut spec = scanner(0.01).spec().clone().with_turn_s(0.1);
     spec.mount.translation.z = 0.5;
     let sensor = Sensor::new(spec).unwrap();
     let mut caster = Caster::new(world.environment(), sensor.clone(), 1);
     caster.turn_s = 0.1;
     let options = EstimateOptions::of(&sensor).with_learns_sigma(true);
-    let prior = PoseEstimate::of_sigmas(RobotPose::new(way.at(0.0)), 0.02, 0.01);
+    let prior = PoseEstimate::of_sigmas(RobotPose::new(route.at(0.0)), 0.02, 0.01);
     let mut robot = Localizer::new(estimator(options), prior, LocalizeOptions::default());
     let (mut sum, mut squares) = (0.0, [0.0; 2]);
     for k in 0..60 {
         let time = 0.1 * f64::from(k);
-        let frame = caster.frame(&|t| way.at(t), time, (k > 0).then_some(time - 0.1));
+        let frame = caster.frame(&|t| route.at(t), time, (k > 0).then_some(time - 0.1));
         let step = robot.step(&world, &frame).unwrap();
         assert_eq!(step.phase, Phase::Tracking, "{k}: {}", step.reason);
-        let (squared, axes) = nees(&step.pose, &way.at(time));
-        let off = apart(&step.pose.world_from_robot, &way.at(time));
+        let (squared, axes) = nees(&step.pose, &RobotPose::new(route.at(time)));
+        let off = apart(&step.pose.world_from_robot, &route.at(time));
         if k >= 10 {
             sum += squared / axes as f64 / 50.0;
             squares = [squares[0] + off.0 * off.0 / 50.0, squares[1] + off.1 * off.1 / 50.0];

@@ -6,9 +6,9 @@
 
 #![expect(clippy::print_stdout, reason = "a bench reports")]
 
-use presight::files::{self, NpyValues, import_gltf};
+use presight::files;
 use presight::predict::free_poses;
-use presight::{Backend, Options, Output, Outputs, Pose, Predictor, Request, SensorPose, World};
+use presight::{Backend, Images, Options, Output, Outputs, Pose, Predictor, Request, Scene, SensorPose};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -31,7 +31,7 @@ fn main() {
     }
     let memory = Path::new("/dev/shm");
     let folder = if memory.is_dir() { tempfile::tempdir_in(memory) } else { tempfile::tempdir() }.expect("a folder");
-    let world = World::new(import_gltf(&scene, &Default::default()).unwrap_or_else(|e| panic!("{e}")).environment);
+    let world = Scene::open(&scene).unwrap_or_else(|e| panic!("{e}")).world;
     let poses = free_poses(&world, POSES, 1).unwrap_or_else(|e| panic!("{e}"));
     let trajectory = folder.path().join("drive.tum");
     std::fs::write(&trajectory, text(&poses)).expect("the trajectory is written");
@@ -70,7 +70,7 @@ fn text(poses: &[Pose]) -> String {
 fn by_library(scene: &Path, poses: &[Pose]) -> f64 {
     let start = Instant::now();
     let predict = || -> presight::Result<()> {
-        let world = World::new(import_gltf(scene, &Default::default())?.environment);
+        let world = Scene::open(scene)?.world;
         let sensor = presight::preset("vlp-16")?;
         let mut predictor = Predictor::new(Options::new(Backend::Cpu))?;
         let request = Request::of(Outputs::of(&[Output::Range]));
@@ -92,13 +92,15 @@ fn by_command(scene: &Path, folder: &Path, args: &[&std::ffi::OsStr]) -> f64 {
 /// Writes large arrays, and the small ones of a scanner.
 fn arrays(folder: &Path) {
     for (count, rows, columns) in [(8, 4096, 8192), (2000, 16, 1800)] {
-        let values: Vec<f32> = (0..rows * columns).map(|i| i as f32).collect();
+        let mut images = Images::default();
+        (images.width, images.height) = (columns, rows);
+        images.range = (0..rows * columns).map(|i| i as f32).collect();
         let start = Instant::now();
         for i in 0..count {
             let path = folder.join(format!("{}.npy", i % 4));
-            files::write_npy_values(&path, &[rows, columns], NpyValues::F32(&values)).unwrap_or_else(|e| panic!("{e}"));
+            files::write_npy(&path, &images, Output::Range).unwrap_or_else(|e| panic!("{e}"));
         }
-        let bytes = 4 * count * rows * columns;
+        let bytes = 4 * u64::from(count * rows) * u64::from(columns);
         let rate = bytes as f64 / 1e6 / start.elapsed().as_secs_f64();
         println!("{count} arrays of {rows} x {columns} f32: {rate:.0} MB/s");
     }

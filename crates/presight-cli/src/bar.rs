@@ -13,7 +13,8 @@ pub fn count(name: &'static str) -> ProgressBar {
     ProgressBar::no_length().with_prefix(name).with_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()))
 }
 
-/// How far a search of the whole map is: the part of the places that were looked round at, and the time that the others take.
+/// How far a search of the whole map is: the part of the places that were looked round at, and the time that the others
+/// take.
 pub fn looking_round(done: usize, all: usize, since: Duration) -> String {
     let part = done as f64 / all.max(1) as f64;
     let left = since.as_secs_f64() * (1.0 - part) / part;

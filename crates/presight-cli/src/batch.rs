@@ -5,13 +5,13 @@ use super::outputs::check_no_dash;
 use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
 use super::sensor_args::SensorArgs;
 use super::series::SeriesProgress;
-use super::{CommandOutcome, bar, folder, open_scene, print};
+use super::{CommandOutcome, bar, open_scene, print};
 use presight::environment::IndexKind;
 use presight::files::{self, ImportOptions, files_named_by};
 use presight::measured::{Frame, Measurement};
 use presight::predict::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};
 use presight::sensor::ExternalPose;
-use presight::tools::{self, write_atomically};
+use presight::tools::{self, create_folder, write_atomically};
 use presight::{
     Backend, Error, IdScheme, ImageRequest, Output, Outputs, Pose, Predictor, Raster, Result, Scene, Sensor,
     SensorPose, Threads, blake3_of,
@@ -138,7 +138,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     request.height = Some(poses.first.world_from_sensor().translation.z);
     let items = args.items(poses.count);
     args.check_inputs(&scene.files)?;
-    folder::ready(&args.out)?;
+    create_folder(&args.out)?;
     let record = args.job(&scene, &sensor, &poses)?;
     let chosen =
         check_job(&args.out, &record, Choice { backend: args.engine.backend(), raster: args.engine.raster() })?;
@@ -365,9 +365,8 @@ fn read_sensed(frame_name: &str, sensor: &Sensor, cell: PoseCell) -> Result<Rang
         }
     };
     let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(range)).map_err(|e| e.in_file(&path))?;
-    let mut readings = files::Readings::new("null or NaN");
-    readings.add(&frame);
-    print::notices(&readings.notice().map(|notice| format!("{frame_name}: {notice}")));
+    let notice = files::notice_of_readings(&frame);
+    print::notices(&notice.map(|notice| format!("{frame_name}: {notice}")));
     RangeLikelihood::new(&frame, cell).map_err(|e| e.in_file(&path))
 }
 
@@ -555,7 +554,7 @@ mod tests {
         let job = || serde_json::json!({ "format": 1, "scene": "hall" });
         let asked = |backend, raster| check_job(folder.path(), &job(), Choice { backend, raster });
         let none = Choice { backend: None, raster: None };
-        assert_eq!(asked(None, None).unwrap(), none, "nothing is chosen before the first run");
+        assert_eq!(asked(None, None).unwrap(), none, "no engine is chosen before the first run");
         let used = Choice { backend: Some(Backend::Cpu), raster: Some(Raster::Render) };
         keep_job(folder.path(), job(), used).unwrap();
         for (backend, raster) in [(None, None), (Some(Backend::Cpu), None), (None, Some(Raster::Render))] {

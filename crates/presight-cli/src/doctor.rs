@@ -7,7 +7,7 @@ use presight_studies::doctor::examine_engines;
 const EXAMPLES: &str = "Examples:
   presight doctor
 
-Exit status: 0 if all engines draw correct images, 1 if one does not or an adapter that would be used cannot be opened.";
+Exit status: 0 if all engines draw correct images, 1 if one does not or an adapter in use cannot be opened.";
 
 /// Check the engines of this machine
 ///

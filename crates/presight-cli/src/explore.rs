@@ -20,15 +20,15 @@ const EXAMPLES: &str = "Examples:
   presight explore scans.json --wall-height 2.5 --polygons 200 --out corridor.presight
   presight localize thursday --map hall.presight --sensor monday/sensor.toml --init reference --out thursday.tum";
 
-/// A rough model that leaves this part of the points unexplained may be of another place.
+/// A rough model that leaves this share of the points unexplained may show another place.
 const STRANGE: f64 = 0.8;
 
 /// Explore an environment: logs with poses become a stored model of convex polygons
 ///
-/// Measured points become planes, planes become convex polygons where rays ended on them, and polygons that hang together
-/// become objects: floor/0001, wall/0001, ceiling/0001, explored/0001 and so on. Where rays went through, and where nobody
-/// looked, there is no surface. Scans of one row become upright walls. With --map a rough model is corrected first. An
-/// existing STORE is explored on. The exploration is one change of the store, which `presight env undo` takes back.
+/// Measured points become planes, planes become convex polygons where rays ended on them, and connected polygons become
+/// objects: floor/0001, wall/0001, ceiling/0001, explored/0001 and so on. Space that rays crossed, and space that no
+/// ray reached, gets no surface. Scans of one row become upright walls. With --map a rough model is corrected first. An
+/// existing STORE is extended. The exploration is one change of the store, which `presight env undo` takes back.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -36,11 +36,11 @@ pub struct Args {
     #[arg(required = true, value_name = "LOG")]
     logs: Vec<PathBuf>,
 
-    /// A rough model: its surfaces move to where rays end, and what rays go through is opened
+    /// A rough model: its surfaces move to the ends of the rays, and surfaces that rays cross are opened
     #[arg(long, value_name = "SCENE")]
     map: Option<PathBuf>,
 
-    /// The store (.presight); an existing one is explored on
+    /// The store (.presight); an existing one is extended
     #[arg(long, value_name = "STORE")]
     out: PathBuf,
 
@@ -48,7 +48,7 @@ pub struct Args {
     #[arg(long, value_name = "log|FILE.tum", default_value = "log")]
     poses: String,
 
-    /// Find the poses on the way, each frame in the model so far, from this pose of the robot at the first frame:
+    /// Compute the poses, each frame against the model so far, from this pose of the robot at the first frame:
     /// x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, or `reference` for the log's first pose
     #[arg(long, value_name = "POSE", allow_hyphen_values = true, conflicts_with = "poses")]
     init: Option<String>,
@@ -67,12 +67,13 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
     stride: u32,
 
-    /// Most polygons that a run adds
-    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    /// Maximum number of polygons that a run adds
+    #[arg(long, value_name = "N", default_value_t = 2000)]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     polygons: u32,
 
-    /// Size of the smallest pieces of surface that are distinguished, metres [default: what the noise of the ranges, the
-    /// distance of neighbouring points and the number of frames allow, 0.02 at least]
+    /// Size of the smallest pieces of surface that are distinguished, metres [default: what the noise of the ranges,
+    /// the distance of neighbouring points and the number of frames allow, 0.02 at least]
     #[arg(long, value_name = "METRES")]
     detail: Option<f64>,
 
@@ -185,7 +186,7 @@ impl Args {
         Ok((std::sync::Arc::unwrap_or_clone(scene.world.into_environment()), Known::Rough))
     }
 
-    /// The frames of the logs at poses that are found on the way.
+    /// The frames of the logs, each at the pose that the model so far gives.
     fn follow(
         &self,
         init: &str,
@@ -281,15 +282,15 @@ fn apart(groups: &[Vec<f64>]) -> Vec<String> {
     let group = |stamps: &Vec<f64>| {
         let (first, last) = stamps.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), t| (a.min(*t), b.max(*t)));
         format!(
-            "{} frames from {first} s to {last} s are a group of their own, which no frame joins with the first one's, and are left \
-             out: explore them into another store",
+            "{} frames from {first} s to {last} s are left out, because no frame connects them with the first frame: \
+             explore them into another store",
             stamps.len()
         )
     };
     let mut notices: Vec<String> = together.into_iter().map(group).collect();
     if !alone.is_empty() {
         let stamps: Vec<String> = alone.iter().map(|stamps| format!("{} s", stamps[0])).collect();
-        let what = format!("{} frames show nothing that is known and are left out: {}", alone.len(), stamps.join(", "));
+        let what = format!("{} frames show no known surface and are left out: {}", alone.len(), stamps.join(", "));
         notices.push(what);
     }
     notices
@@ -328,7 +329,7 @@ fn report(found: &Exploration, views: &Views, number: u64) -> String {
     );
     let areas = found.areas;
     text += &format!(
-        "surface {:.2} m2; next to it open {:.2} m2, seen by nobody {:.2} m2\n",
+        "surface {:.2} m2; adjacent: open {:.2} m2, unobserved {:.2} m2\n",
         areas.surface, areas.open, areas.unseen
     );
     if found.parts.len() > 1 {
@@ -342,7 +343,7 @@ fn report(found: &Exploration, views: &Views, number: u64) -> String {
         text += &format!("{:.2} m2 of the known surfaces are open now\n", found.opened);
     }
     for path in &found.gone {
-        text += &format!("{path}: nothing is left of it\n");
+        text += &format!("{path}: no surface is left\n");
     }
     text += &format!("change {number}\n");
     text

@@ -2,12 +2,13 @@
 
 use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
-use super::{CommandOutcome, folder, open_scene, print};
-use presight::environment::{IndexKind, IndexParams};
+use super::pose_series::read_poses;
+use super::{CommandOutcome, open_scene, print};
+use presight::environment::IndexKind;
 use presight::files::{ImportOptions, load_sensor};
 use presight::predict::free_poses;
 use presight::sensor::PRESETS;
-use presight::tools::write_atomically;
+use presight::tools::{create_folder, write_atomically};
 use presight::{Backend, Options, Pose, Result, Threads, preset};
 use presight_studies::index::Scheme;
 use presight_studies::index_study::{self, Row, Study};
@@ -95,7 +96,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         }
         None => PRESETS.iter().map(|p| Ok((p.name.to_owned(), preset(p.name)?))).collect::<Result<_>>()?,
     };
-    let given = args.poses.as_deref().map(folder::poses).transpose()?;
+    let given = args.poses.as_deref().map(read_poses).transpose()?;
     let scene = open_scene(&args.scene, &import, IndexKind::default())?;
     let world = scene.world;
     let seed = given.is_none().then_some(args.seed);
@@ -105,7 +106,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     };
     index_study::check_poses(&poses)?;
     files.check_scene(&scene.files)?;
-    args.out.as_deref().map(folder::ready).transpose()?;
+    args.out.as_deref().map(create_folder).transpose()?;
     let count = poses.len();
     let options = Options::new(Backend::Cpu).with_threads(threads);
     let study = Study { poses, sensors, options, repeats: args.repeat as usize };
@@ -114,7 +115,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             print::message(what);
         }
     };
-    let rows = study.run(&world, &args.variants(), progress)?;
+    let rows = study.run(&world, &index_study::variants(&args.only, args.sweep, !args.unfiltered), progress)?;
     print::lines(table(&rows, count, world.environment().slot_count(), args.sweep))?;
     if let Some(folder) = &args.out {
         let [csv_file] = FILES.map(|name| folder.join(name));
@@ -122,20 +123,6 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         write_atomically(&csv_file, |file| file.write_all(csv.as_bytes()))?;
     }
     Ok(CommandOutcome::Done)
-}
-
-impl Args {
-    fn variants(&self) -> Vec<(Scheme, IndexParams)> {
-        let mut variants = match self.sweep {
-            true => index_study::sweep(),
-            false => Scheme::ALL.map(|s| (s, s.params())).to_vec(),
-        };
-        variants.retain(|(scheme, _)| self.only.is_empty() || self.only.contains(scheme));
-        for (_, params) in &mut variants {
-            params.filter = !self.unfiltered;
-        }
-        variants
-    }
 }
 
 fn table(rows: &[Row], poses: usize, polygons: u32, swept: bool) -> Vec<String> {
@@ -168,8 +155,8 @@ fn table(rows: &[Row], poses: usize, polygons: u32, swept: bool) -> Vec<String> 
             r.selectivity,
         );
         if swept {
-            let IndexParams { cell_polygons, min_cell, split_axis, .. } = r.params;
-            line += &format!("  {cell_polygons} polygons, {min_cell} m, {split_axis:?}");
+            let used = &r.params;
+            line += &format!("  {} polygons, {} m, {:?}", used.cell_polygons, used.min_cell, used.split_axis);
         }
         lines.push(line);
     }

@@ -3,7 +3,8 @@
 use super::frame_args::FrameArgs;
 use super::open_scene;
 use super::{CommandOutcome, flags, print};
-use presight::environment::{Aabb, Appearance, Environment, IndexKind, Material, Object, lost_features};
+use presight::environment::{Aabb, Appearance, Environment, IndexKind, Material, Object};
+use presight::files;
 use presight::{Error, Pose, Result, Scene};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -42,7 +43,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut options = args.frame.options()?;
     options.merge_tolerance = args.merge_tolerance.unwrap_or(options.merge_tolerance);
     let mut scene = open_scene(&args.scene, &options, IndexKind::None)?;
-    scene.report.problems.extend(lost_features(scene.world.environment())?);
+    scene.report.problems.extend(files::problem_of_lost_features(scene.world.environment())?);
     if args.json {
         let value = as_json(&args.scene, &scene);
         let wrong = |e| Error::invalid(format!("cannot write the inspection as JSON: {e}"), "").in_file(&args.scene);

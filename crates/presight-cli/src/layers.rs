@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 /// Flags of features.
 #[derive(Debug, clap::Args)]
 pub struct LayerArgs {
-    /// Add the features of this layer to those of the scene; of two with the same id the later one wins
+    /// Add the features of this layer to the scene's features; a later feature replaces one with the same id
     #[arg(long = "layer", value_name = "FILE.json")]
     layers: Vec<PathBuf>,
 
@@ -24,7 +24,7 @@ pub struct LayerArgs {
     #[arg(long, value_name = "OUT.json")]
     pub features: Option<PathBuf>,
 
-    /// How the file of --features lists features without a visible part [default: full; with --poses reason]
+    /// Entries of the features file for features without a visible part [default: full; with --poses reason]
     #[arg(long, value_enum, requires = "features", value_name = "HOW")]
     hidden: Option<HiddenArg>,
 
@@ -137,7 +137,7 @@ impl LayerArgs {
         self.is_asked(asked).then_some(Output::PolygonId)
     }
 
-    /// How the features file lists features without a visible part.
+    /// Entries of the features file for features without a visible part.
     fn hidden(&self, asked: NamedRequest) -> Hidden {
         match self.hidden {
             Some(HiddenArg::Count) => Hidden::Count,

@@ -21,7 +21,6 @@ mod explore;
 mod features;
 mod file_names;
 mod flags;
-mod folder;
 mod frame_args;
 mod index;
 mod inspect;
@@ -46,8 +45,6 @@ mod sensors;
 mod series;
 mod signals;
 mod simulate;
-mod stack;
-mod statistics;
 pub mod summary;
 mod supervise;
 mod templates;
@@ -200,8 +197,8 @@ pub fn main() -> ExitCode {
     ExitCode::from(run(std::env::args_os()))
 }
 
-/// Runs the command with these arguments, the first of them the program's name, and returns its exit status. From then on a signal to the
-/// process ends it, and half-written files are removed before.
+/// Runs the command with these arguments, the first of them the program's name, and returns its exit status. From then
+/// on a signal to the process ends it, and half-written files are removed before.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     signals::listen();
     let arguments: Vec<OsString> = arguments.into_iter().collect();

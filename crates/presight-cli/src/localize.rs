@@ -14,8 +14,10 @@ const EXAMPLES: &str = "Examples:
   presight localize livingroom --map livingroom/livingroom_map.glb --init reference --stride 4 --out flight.tum
   presight localize run --map hall.presight --sensor camera.toml --init 1,2,1.5,0,20,90 --out run.tum
   presight localize scans.json --map corridor.glb --init unknown --out run.tum
-  presight localize livingroom --map livingroom/livingroom_map.glb --stride 4 --from 30 --init unknown --floor 0.75 --floor-to 1.3 --lean 0,16.6 --margin 1 --surrounded 0.02 --out run.tum
-  presight localize street_1.ply --map street_map.glb --init 0,0,0,0,0,0 --init-sigma 0.3 --init-sigma-deg 8 --out run.tum";
+  presight localize livingroom --map livingroom/livingroom_map.glb --stride 4 --from 30 \\
+    --init unknown --floor 0.75 --floor-to 1.3 --lean 0,16.6 --margin 1 --surrounded 0.02 --out run.tum
+  presight localize street_1.ply --map street_map.glb \\
+    --init 0,0,0,0,0,0 --init-sigma 0.3 --init-sigma-deg 8 --out run.tum";
 
 /// Track a robot through a log: its pose at every frame, with covariance and state
 ///
@@ -24,8 +26,8 @@ const EXAMPLES: &str = "Examples:
 /// of scans (.ply, .pcd, .csv, .exr). Features of --layer are detected in grey images, its reflectors in scans with
 /// intensities. With a level scanner of one row only x, y and yaw are estimated. FILE.jsonl next to FILE.tum gets
 /// covariance, state and verdicts of every frame. FILE.tum has no line for a frame whose pose is not known. Both grow
-/// by a line as each frame comes, and stay after an error or a signal; the same command then goes on behind them. A log of ranges can come from a pipe
-/// (/dev/stdin); a device or pipe as --out gets the poses without FILE.jsonl.
+/// by a line as each frame comes, and stay after an error or a signal; the same command then goes on behind them. A log
+/// of ranges can come from a pipe (/dev/stdin); a device or pipe as --out gets the poses without FILE.jsonl.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -125,9 +127,10 @@ fn details(s: &Step) -> serde_json::Value {
         Judged::ALL.iter().zip(counts).map(|(v, n)| (v.name().to_owned(), n.into())).collect();
     serde_json::json!({
         "time": s.stamp, "state": s.phase.name(), "reason": s.reason, "help": help(s),
-        "translation": s.pose.world_from_robot.translation.to_array(), "rotation_xyzw": s.pose.world_from_robot.rotation.to_array(),
-        "odds": s.odds, "carried": s.carried, "covariance": s.pose.covariance, "explained": s.estimate.explained, "model_sigma": s.estimate.model_sigma, "weak": weak, "verdicts": verdicts,
-        "features": features,
+        "translation": s.pose.world_from_robot.translation.to_array(),
+        "rotation_xyzw": s.pose.world_from_robot.rotation.to_array(),
+        "odds": s.odds, "carried": s.carried, "covariance": s.pose.covariance, "explained": s.estimate.explained,
+        "model_sigma": s.estimate.model_sigma, "weak": weak, "verdicts": verdicts, "features": features,
         "predictions": s.estimate.predictions,
         "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
     })
@@ -137,17 +140,20 @@ fn details(s: &Step) -> serde_json::Value {
 fn help(s: &Step) -> Option<&'static str> {
     match s.phase {
         Phase::Lost | Phase::Unknown => Some(
-            "--init unknown looks for the robot in the whole map, at the height of --floor; --model-sigma states how far \
-             the map may be off, --sensor the noise and the mount of the sensor",
+            "--init unknown searches the whole map for the robot, at the height of --floor; --model-sigma states the \
+             deviation of the map, --sensor the noise and the mount of the sensor",
         ),
-        _ if !s.estimate.weak.is_empty() => Some("no measurement holds the weak directions: odometry in the log would"),
+        _ if !s.estimate.weak.is_empty() => {
+            Some("no measurement determines the weak directions: add odometry to the log")
+        }
         _ => None,
     }
 }
 
 fn candidate(c: &Candidate) -> serde_json::Value {
     serde_json::json!({
-        "translation": c.pose.world_from_robot.translation.to_array(), "rotation_xyzw": c.pose.world_from_robot.rotation.to_array(),
+        "translation": c.pose.world_from_robot.translation.to_array(),
+        "rotation_xyzw": c.pose.world_from_robot.rotation.to_array(),
         "log_likelihood": c.log_likelihood, "explained": c.explained, "frames": c.frames,
     })
 }

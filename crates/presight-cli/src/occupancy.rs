@@ -16,8 +16,8 @@ const EXAMPLES: &str = "Examples:
 
 /// Write an occupancy grid of a scene as nav2's map_server reads it: YAML and PGM
 ///
-/// A cell is occupied if a surface between the two heights above the floor reaches into it, free if a floor covers it and
-/// nothing is in the way, and unknown where no floor is known or nobody looked. The PGM gets the name of the YAML.
+/// A cell is occupied if a surface between the two heights above the floor reaches into it, free if a floor covers it
+/// and no surface blocks it, and unknown without a floor or observations. The PGM gets the name of the YAML.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {

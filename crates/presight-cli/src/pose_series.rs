@@ -4,7 +4,7 @@ use super::pose::{PoseArgs, PoseOf};
 use presight::files;
 use presight::sensor::ExternalPose;
 use presight::tools;
-use presight::{Error, Result};
+use presight::{Error, Pose, Result};
 use std::path::Path;
 
 /// A pose with its time stamp as written.
@@ -22,8 +22,8 @@ impl Poses {
     /// Reads all poses of a file. Poses of a pipe come one by one, unless `all_first`.
     ///
     /// # Errors
-    /// Those of [`files::read_tum`] and [`PoseArgs::given`]; [`presight::ErrorKind::Invalid`] for a file with no poses or too
-    /// many.
+    /// Those of [`files::read_tum`] and [`PoseArgs::given`]; [`presight::ErrorKind::Invalid`] for a file with no poses
+    /// or too many.
     pub fn read(path: &Path, meaning: &PoseArgs, of: PoseOf, all_first: bool) -> Result<Self> {
         let is_pipe = path.metadata().is_ok_and(|m| !m.is_file() && !m.is_dir());
         if is_pipe && !all_first {
@@ -70,6 +70,15 @@ impl Poses {
             Self::Coming(poses) => Box::new(poses.enumerate().map(|(index, pose)| Ok((index, pose?)))),
         }
     }
+}
+
+/// Reads the poses of a file that must hold at least one.
+///
+/// # Errors
+/// Read errors; [`presight::ErrorKind::Invalid`] naming the file if it has no poses.
+pub fn read_poses(path: &Path) -> Result<Vec<Pose>> {
+    let poses: Vec<Pose> = files::read_tum(path)?.into_iter().map(|stamped| stamped.pose).collect();
+    if poses.is_empty() { Err(no_poses(path)) } else { Ok(poses) }
 }
 
 /// The error of a pose file without a pose.

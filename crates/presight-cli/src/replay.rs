@@ -3,15 +3,15 @@
 use super::drive::{Drive, FeatureCounts, Followed, Sensed};
 use super::localize::summary;
 use super::outputs::OutputFiles;
-use super::{CommandOutcome, folder, print};
+use super::{CommandOutcome, print};
 use glam::EulerRot;
 use presight::features::{BoxOptions, FeatureOptions, Hidden};
-use presight::localize::{FeatureClass, Findings, Shape, Step, nees};
+use presight::localize::{FeatureClass, FeatureFindings, Shape, Step, nees};
 use presight::measured::Frame;
-use presight::tools::write_atomically;
+use presight::tools::{create_folder, write_atomically};
 use presight::verdict::Verdict as Judged;
 use presight::{
-    Backend, Error, Images, Options, Output, Outputs, Predictor, Request, Result, Scene, Sensor, SensorPose,
+    Backend, Error, Images, Options, Output, Outputs, Predictor, Request, Result, RobotPose, Scene, Sensor, SensorPose,
 };
 use presight_pictures::{Comparison, GreyMark, GreyPanel, Overlay, PlanMarks, write_comparison};
 use presight_studies::page::replay::{Leaf, page};
@@ -99,8 +99,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let painter = match &mut painter {
             Some(painter) => painter,
             None => {
-                folder::ready(&args.out)?;
-                folder::ready(&frames)?;
+                create_folder(&args.out)?;
+                create_folder(&frames)?;
                 painter.insert(Painter::new(args, scene, sensed)?)
             }
         };
@@ -207,7 +207,7 @@ impl Painter {
 }
 
 /// Marks for a grey image: predicted features in the colours of their classes, with detections on top.
-fn marks(findings: &Findings) -> Vec<GreyMark> {
+fn marks(findings: &FeatureFindings) -> Vec<GreyMark> {
     let kind = |name: &str| FEATURES.iter().position(|(known, _)| *known == name).unwrap_or_default();
     let mark = |shape: &Shape, kind: usize, radius: f64| GreyMark { points: shape.points().to_vec(), kind, radius };
     let mut marks: Vec<GreyMark> =
@@ -219,7 +219,7 @@ fn marks(findings: &Findings) -> Vec<GreyMark> {
 }
 
 /// Marks for a top view of a scan of one row: predicted and detected reflectors.
-fn plan(findings: &Findings, sensor: &Sensor, pose: &SensorPose) -> Vec<GreyMark> {
+fn plan(findings: &FeatureFindings, sensor: &Sensor, pose: &SensorPose) -> Vec<GreyMark> {
     let kind = |name: &str| FEATURES.iter().position(|(known, _)| *known == name).unwrap_or_default();
     let sensor_from_world = pose.world_from_sensor().inverse();
     let predicted = findings.features.iter().map(|f| {
@@ -270,6 +270,6 @@ fn leaf(followed: &Followed, k: usize, picture: &str, extra: (f64, f64)) -> Leaf
             let metres = step.pose.world_from_robot.translation.distance(t.translation);
             (metres, step.pose.world_from_robot.rotation.angle_between(t.rotation).to_degrees())
         }),
-        nees: known.map(|t| nees(&wider, &t)).map(|(squared, n)| squared / n.max(1) as f64),
+        nees: known.map(|t| nees(&wider, &RobotPose::new(t))).map(|(squared, n)| squared / n.max(1) as f64),
     }
 }

@@ -3,11 +3,12 @@
 use super::bar::bar;
 use super::frame_args::FrameArgs;
 use super::outputs::OutputFiles;
-use super::{CommandOutcome, features, folder, open_scene, print};
+use super::pose_series::read_poses;
+use super::{CommandOutcome, features, open_scene, print};
 use presight::environment::IndexKind;
 use presight::files::load_sensor;
 use presight::predict::free_poses;
-use presight::tools::{printable, write_atomically};
+use presight::tools::{create_folder, printable, write_atomically};
 use presight::{Error, Result, Sensor, Threads, preset};
 use presight_studies::work_precision::{self, Effort, Findings, Scene, Study};
 use presight_studies::{Machine, stability};
@@ -83,7 +84,7 @@ pub fn run(args: &Args, arguments: &[OsString]) -> Result<CommandOutcome> {
 }
 
 fn stability(args: &Args, command: Vec<String>) -> Result<CommandOutcome> {
-    folder::ready(&args.out)?;
+    create_folder(&args.out)?;
     let study = stability::Study::new(args.quick);
     let (mut engines, notes) = stability::subjects(0)?;
     notes.iter().for_each(|note| print::message(note));
@@ -115,7 +116,7 @@ fn stability(args: &Args, command: Vec<String>) -> Result<CommandOutcome> {
 fn work_precision(args: &Args, files: OutputFiles, command: Vec<String>) -> Result<CommandOutcome> {
     let (study, inputs) = args.study()?;
     files.check_scene(&inputs)?;
-    folder::ready(&args.out)?;
+    create_folder(&args.out)?;
     let progress = bar(study.steps() as u64);
     let findings = study.run(|what| {
         progress.set_message(printable(what).into_owned());
@@ -157,7 +158,7 @@ impl Args {
             return Err(Error::usage("no scene is given", remedy));
         }
         let sensors = self.sensors()?;
-        let given = self.poses.as_deref().map(folder::poses).transpose()?;
+        let given = self.poses.as_deref().map(read_poses).transpose()?;
         let (mut scenes, mut files) = (Vec::new(), Vec::new());
         for path in &self.scenes {
             let opened = open_scene(path, &self.frame.options()?, IndexKind::default())?;

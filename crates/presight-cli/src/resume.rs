@@ -1,7 +1,8 @@
 //! Runs that were interrupted go on where they ended, by the same command.
 //!
-//! Until it is complete a run keeps FILE.resume next to FILE.tum and FILE.jsonl, with its arguments and inputs. The same command on
-//! the same inputs finds it, keeps the lines of the frames so far, and continues after them from the last pose.
+//! Until it is complete a run keeps FILE.resume next to FILE.tum and FILE.jsonl, with its arguments and inputs. The
+//! same command on the same inputs finds it, keeps the lines of the frames so far, and continues after them from the
+//! last pose.
 
 use super::print;
 use presight::tools::write_atomically;
@@ -65,7 +66,8 @@ impl Mark {
         let [x, y, z, w] = last.rotation_xyzw;
         let pose = Pose::new(last.translation.into(), glam::DQuat::from_xyzw(x, y, z, w)).ok()?;
         print::notices(&[format!(
-            "going on behind the frame at {} s, where an earlier run of this command ended; delete {} to start from the first",
+            "continuing after the frame at {} s, where an earlier run of this command ended; \
+             delete {} to start from the first frame",
             last.time,
             self.path.display()
         )]);

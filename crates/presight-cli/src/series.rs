@@ -1,7 +1,7 @@
 //! Resumable work on many poses: a record next to the output files lists the finished poses, and the next run continues
 //! after them. The record of a batch is its table of results, which gets its final name once complete.
 
-use presight::tools::refused;
+use presight::tools::write_error;
 use presight::{Error, ErrorKind, Result};
 use std::fs::{self, File, TryLockError};
 use std::io::{self, BufRead, BufReader, Seek, SeekFrom, Write};
@@ -31,7 +31,7 @@ impl SeriesProgress {
     /// # Errors
     /// [`ErrorKind::System`] if the record cannot be written, or another process is working on it.
     pub fn open(path: &Path, head: &str, poses: Range<usize>, lines_per_pose: usize) -> Result<Self> {
-        let failed = |e| refused(path, e);
+        let failed = |e| write_error(path, e);
         let opened = File::options().read(true).write(true).create(true).truncate(false).open(path);
         let file = opened.map_err(failed)?;
         if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
@@ -50,7 +50,7 @@ impl SeriesProgress {
     /// # Errors
     /// [`ErrorKind::System`] if the record cannot be read or written.
     pub fn keep_while(&mut self, is_there: impl Fn(usize) -> bool) -> Result<()> {
-        let failed = |e| refused(&self.path, e);
+        let failed = |e| write_error(&self.path, e);
         self.file.rewind().map_err(failed)?;
         let (next, sound) = self.sound_part(is_there).map_err(failed)?;
         self.replaced |= sound == 0 && self.file.metadata().map_err(failed)?.len() > 0;
@@ -119,7 +119,7 @@ impl SeriesProgress {
     /// # Errors
     /// [`ErrorKind::System`] if they cannot be written; the next [`SeriesProgress::open`] drops incomplete lines.
     pub fn append(&mut self, last: usize, lines: &str) -> Result<()> {
-        self.file.write_all(lines.as_bytes()).map_err(|e| refused(&self.path, e))?;
+        self.file.write_all(lines.as_bytes()).map_err(|e| write_error(&self.path, e))?;
         self.next = last + 1;
         Ok(())
     }
@@ -141,7 +141,7 @@ impl SeriesProgress {
     /// # Errors
     /// [`ErrorKind::System`] if the system refuses.
     pub fn rename(self, to: &Path) -> Result<()> {
-        self.file.sync_all().and_then(|()| fs::rename(&self.path, to)).map_err(|e| refused(to, e))
+        self.file.sync_all().and_then(|()| fs::rename(&self.path, to)).map_err(|e| write_error(to, e))
     }
 }
 

@@ -19,7 +19,7 @@ pub fn listen() {
     let wait = move || {
         // Fails without a byte once all senders are dropped.
         if told.read_exact(&mut [0]).is_ok() {
-            let _nothing_new = presight::tools::abandon();
+            let _nothing_new = presight::tools::abandon_files();
             let _ = low_level::emulate_default_handler(signal.load(Ordering::Relaxed) as i32);
         }
     };

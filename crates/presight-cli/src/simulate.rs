@@ -2,12 +2,12 @@
 
 use super::outputs::OutputFiles;
 use super::sensor_args::SensorArgs;
-use super::{CommandOutcome, folder, open_scene};
+use super::{CommandOutcome, open_scene};
 use presight::environment::IndexKind;
 use presight::files::{self, ImportOptions, LogFrame, StampedPose, load_sensor};
 use presight::measured::Frame;
 use presight::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
-use presight::tools::write_atomically;
+use presight::tools::{create_folder, write_atomically};
 use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads};
 use presight_pictures as png;
 use std::io::{BufWriter, Write};
@@ -30,8 +30,8 @@ const BLUR: f64 = 0.7;
 /// Simulate a log: depth images or scans of a drive with noise, drop-outs and mixed pixels, and the true poses
 ///
 /// DIR gets the files that `localize` reads - camera.json, depth/*.png, poses.txt, or scans.jsonl for a scanner - and
-/// sensor.toml. Depths are whole millimetres. With --grey it also gets grey images of a second camera, grey/*.png and
-/// grey.toml, lit from that camera. The same seed gives the same log.
+/// sensor.toml. Depths are in millimetres, rounded. With --grey it also gets grey images of a second camera, grey/*.png
+/// and grey.toml, lit from that camera. The same seed gives the same log.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -126,7 +126,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let path: Vec<RobotPose> = poses.iter().map(|p| RobotPose::new(p.pose)).collect();
     let walkers = Walkers::new(&mut scene.world, &path, args.height, args.walkers, args.seed)?;
     files.check_scene(&scene.files)?;
-    folder::ready(&args.out)?;
+    create_folder(&args.out)?;
     let mut next = |scene: &mut Scene, pose: &StampedPose| {
         walkers.walk(&mut scene.world, pose.time)?;
         simulator.frame(&scene.world, pose.time, &RobotPose::new(pose.pose))
@@ -134,9 +134,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     match &camera {
         None => write_scans(&args.out.join(SCANS), &sensor, &poses, |pose| next(&mut scene, pose))?,
         Some(camera) => {
-            folder::ready(&args.out.join("depth"))?;
+            create_folder(&args.out.join("depth"))?;
             if grey.is_some() {
-                folder::ready(&args.out.join("grey"))?;
+                create_folder(&args.out.join("grey"))?;
             }
             let mut odometry =
                 String::from("# time tx ty tz qx qy qz qw: the robot by its odometry, body axes, z up, metres\n");

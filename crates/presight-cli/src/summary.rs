@@ -58,7 +58,7 @@ impl Summary {
             "sensor": sensor.spec().name,
             "columns": sensor.width(),
             "rows": sensor.height(),
-            "world_from_sensor": pose.translation.to_array().into_iter().chain(pose.rotation.to_array()).collect::<Vec<_>>(),
+            "world_from_sensor": ([&pose.translation.to_array()[..], &pose.rotation.to_array()].concat()),
             "pixels_hit": self.hits.map(|(hits, ..)| hits),
             "nearest_m": hit.map(|(_, near, _)| near),
             "farthest_m": hit.map(|(.., far)| far),

@@ -22,8 +22,8 @@ use std::sync::Arc;
 /// An edge this near to the pixel comes before the surface under it, pixels.
 const ON_EDGE: f64 = 8.0;
 /// The most candidates of an answer.
-const MOST_CANDIDATES: usize = 24;
-/// How far above the first free id new ids may be.
+const MAX_CANDIDATES: usize = 24;
+/// Maximum distance of a new id from the first free one.
 const FREE_IDS: u32 = 1 << 24;
 
 /// A step of the page.
@@ -233,7 +233,7 @@ impl Session {
         let mut candidates: Vec<(Arc<Feature>, Option<f64>)> = edges.into_iter().map(with).collect();
         candidates.extend(surfaces.into_iter().map(|feature| (feature, None)));
         candidates.extend(others.into_iter().map(with));
-        candidates.truncate(MOST_CANDIDATES - 1);
+        candidates.truncate(MAX_CANDIDATES - 1);
         candidates.push((point, None));
         let told: Vec<Value> = candidates.iter().map(|(feature, pixels)| told(feature, *pixels)).collect();
         // Numbered, so that each line names its candidate.

@@ -4,15 +4,14 @@ use super::answer::{Answer, Body, pose_of, six_of};
 use super::session::Session;
 use presight::features::{BoxOptions, FeatureOptions, Hidden, PlacedFeatures, SeenFeature};
 use presight::predict::Samples;
-use presight::sensor::ImagePart;
 use presight::{Error, Images, Output, Outputs, Prediction, Request, Result, SensorPose};
 use presight_pictures::{Overlay, Screen, Stroke, Style};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::time::Instant;
 
-/// The most features that `why` explains at once.
-const MOST_EXPLAINED: usize = 500;
+/// Maximum number of features in one request of `why`.
+const MAX_EXPLAINED: usize = 500;
 
 /// Asks for the images of a pose.
 #[derive(Deserialize)]
@@ -71,7 +70,7 @@ impl Session {
         }
         let sensor = match request.stride {
             1 => self.sensor.clone(),
-            2 | 4 | 8 => self.sensor.part(ImagePart { stride: request.stride, ..self.sensor.whole() })?,
+            2 | 4 | 8 => self.sensor.thinned(request.stride)?,
             n => return Err(Error::usage(format!("a stride of {n}"), "give 1, 2, 4 or 8")),
         };
         let with_features = request.features && self.sensor.check_projection().is_ok() && request.stride == 1;
@@ -146,9 +145,9 @@ impl Session {
     pub(crate) fn why(&mut self, request: &WhyRequest) -> Result<Answer> {
         let pose = pose_of(&request.pose)?;
         self.sensor.check_projection()?;
-        if request.ids.len() > MOST_EXPLAINED {
-            let what = format!("{} features at once", request.ids.len());
-            return Err(Error::usage(what, format!("ask for at most {MOST_EXPLAINED}")));
+        if request.ids.len() > MAX_EXPLAINED {
+            let what = format!("{} features in one request", request.ids.len());
+            return Err(Error::usage(what, format!("ask for at most {MAX_EXPLAINED}")));
         }
         let all = &self.placed.features;
         let found = |id: &u32| all.binary_search_by_key(id, |p| p.feature.id).ok().map(|i| all[i].clone());

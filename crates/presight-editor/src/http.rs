@@ -1,8 +1,8 @@
 //! The server: the page's files, and messages to the session, for this machine only.
 //!
 //! It is made of `hyper` on one thread of `tokio`: both are kept well, and limits on headers, bodies, time and
-//! connections, which keep out what other pages and programs send, are theirs. `tiny_http` is a fourth of the crates, but
-//! had no release since 2022, and gives every slow client a thread for as long as it likes.
+//! connections, which keep out what other pages and programs send, are theirs. `tiny_http` is a fourth of the crates,
+//! but had no release since 2022, and gives every slow client a thread for as long as it likes.
 
 use super::answer::Answer;
 use super::session::Session;
@@ -30,7 +30,7 @@ pub const TOKEN: &str = "x-presight-token";
 pub const MAX_BODY: usize = 1 << 20;
 /// The largest head of a request, bytes.
 pub const MAX_HEAD: usize = 16 << 10;
-/// The most connections at once.
+/// Maximum number of open connections.
 pub const MAX_CONNECTIONS: usize = 64;
 /// The longest time for a head, and for a body.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -130,7 +130,7 @@ async fn either(a: &TcpListener, b: &TcpListener) -> std::io::Result<(tokio::net
 }
 
 /// The open connections, oldest first. A new one beyond the limit ends the oldest that never showed the token: the page
-/// goes on, whatever others do.
+/// keeps working under attack.
 #[derive(Default)]
 struct Connections {
     open: VecDeque<(Arc<AtomicBool>, AbortHandle)>,

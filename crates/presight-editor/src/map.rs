@@ -12,10 +12,10 @@ use serde_json::{Value, json};
 use std::collections::{BTreeSet, HashSet};
 use std::time::{Duration, Instant};
 
-/// Bytes of views for which memory is checked at once.
+/// Bytes of views between two checks of the memory.
 const A_LOT: u64 = 64 << 20;
-/// Most pieces of a plan.
-const MOST_PIECES: usize = 1 << 22;
+/// Maximum number of pieces of a plan.
+const MAX_PIECES: usize = 1 << 22;
 
 /// Asks for the next places of the map.
 #[derive(Deserialize)]
@@ -143,7 +143,7 @@ impl WorthMap {
             *held += size_of_val(&told[..]) as u64;
             if *held > *granted {
                 *granted = 2 * (*held).max(A_LOT);
-                tools::require(*granted)?;
+                tools::require_memory(*granted)?;
             }
             Ok(())
         })?;
@@ -244,8 +244,8 @@ impl Session {
                 }
                 let ends = cut.chunks_exact(2).map(|ends| [ends[0].x, ends[0].y, ends[1].x, ends[1].y]);
                 pieces.extend(ends.map(|ends| ends.map(|c| c as f32)));
-                if pieces.len() > MOST_PIECES {
-                    let what = format!("the cut at {height} m has over {MOST_PIECES} pieces");
+                if pieces.len() > MAX_PIECES {
+                    let what = format!("the cut at {height} m has over {MAX_PIECES} pieces");
                     return Err(Error::usage(what, "give another height"));
                 }
             }

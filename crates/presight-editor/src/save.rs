@@ -1,4 +1,4 @@
-//! Where the layer is kept: a layer file with a journal of the steps that are not saved yet, or a store.
+//! The target of an edited layer: a layer file with a journal of the steps that are not saved yet, or a store.
 
 use super::answer::Answer;
 use super::session::{Session, SessionOptions, by_id};
@@ -43,7 +43,7 @@ pub struct RestoreRequest {
     pub keep: bool,
 }
 
-/// Where the layer is kept.
+/// The target of a layer.
 #[derive(Clone, Debug)]
 pub enum Target {
     /// A store, with the length of its log.
@@ -59,7 +59,7 @@ impl Target {
             return Ok(Self::File { path: path.clone(), text: Some(read(path)?) });
         }
         let is_store = scene.extension().is_some_and(|e| e.eq_ignore_ascii_case("presight"));
-        if is_store || tools::starts_with(scene, SQLITE) {
+        if is_store || tools::file_starts_with(scene, SQLITE) {
             return Ok(Self::Store { path: scene.to_owned(), changes: changes_of(scene)? });
         }
         let stem = scene.file_stem().unwrap_or_default().to_string_lossy();
@@ -92,7 +92,7 @@ impl Target {
 }
 
 fn read(path: &Path) -> Result<String> {
-    let bytes = tools::read(tools::open(path)?, path, tools::MAX_FILE_BYTES)?;
+    let bytes = tools::read_file(tools::open_file(path)?, path, tools::MAX_FILE_BYTES)?;
     String::from_utf8(bytes).map_err(|_| Error::invalid("it is not UTF-8", "write it as UTF-8 text").in_file(path))
 }
 
@@ -189,7 +189,7 @@ impl Journal {
         !self.offered.is_empty()
     }
 
-    /// What the page says of them.
+    /// The steps that wait, as the page lists them.
     pub fn offered(&self) -> Option<serde_json::Value> {
         self.offers().then(|| serde_json::json!({ "steps": self.offered.len(), "fits": self.fits }))
     }
@@ -249,7 +249,7 @@ fn remove(path: &Path) -> Result<()> {
     }
 }
 
-/// The first line of a journal: a change of nothing that names the layer file it starts from.
+/// The first line of a journal: an empty change, which names the layer file it starts from.
 fn header(cause: &str) -> String {
     serde_json::json!({ "op": "group", "changes": [], "cause": cause }).to_string()
 }
@@ -359,7 +359,7 @@ fn check_unchanged(path: &Path, text: Option<&str>) -> Result<()> {
         (None, _) => "the file was deleted while it was open",
         (Some(_), Some(_)) => "another program has changed the file since it was read",
     };
-    Err(Error::usage(what, "save under another name; nothing is overwritten").in_file(path))
+    Err(Error::usage(what, "save under another name; no file is overwritten").in_file(path))
 }
 
 /// The saved layer, the present one, the scene's own, the first id that was never used, and the present tolerance.
@@ -371,8 +371,9 @@ struct Versions<'a> {
     tolerance: f64,
 }
 
-/// The text of a layer file with the present features. Untouched entries keep their bytes and their order. A dropped feature leaves a removal if the scene's own layer has it, or if its id is the greatest of all,
-/// which would otherwise be used again.
+/// The text of a layer file with the present features. Untouched entries keep their bytes and their order. A dropped
+/// feature leaves a removal if the scene's own layer has it, or if its id is the greatest of all, which would otherwise
+/// be used again.
 fn spliced(text: &str, versions: &Versions<'_>) -> Result<String> {
     #[derive(Deserialize)]
     struct Parts<'a> {

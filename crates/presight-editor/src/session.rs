@@ -6,7 +6,7 @@ use super::save::{Journal, Target, behind, merging};
 use presight::environment::DEFAULT_TOLERANCE;
 use presight::features::{self, Feature, FeatureLayer, PlacedFeature, PlacedFeatures};
 use presight::files::{self, LayerFile, layer_fields};
-use presight::predict::{Maker, free_poses};
+use presight::predict::free_poses;
 use presight::{Backend, Change, Error, Options, Output, Pose, Predictor, Result, Scene, Sensor, SensorPose, World};
 use presight_pictures::preview_needs;
 use serde::Deserialize;
@@ -221,15 +221,12 @@ impl Session {
     /// What the page shows of the session.
     pub(crate) fn state(&self) -> Value {
         let spec = self.sensor.spec();
-        let shown = |output: &Output| {
-            output.info().maker != Maker::Features && (!output.info().cameras_only || self.sensor.is_camera())
-        };
         let outputs: Vec<Value> = Output::WITH_FEATURES
             .into_iter()
-            .filter(shown)
+            .filter(|output| output.is_made_for(&self.sensor))
             .map(|output| {
                 let needs: Vec<&str> = preview_needs(&self.sensor, output).iter().map(Output::name).collect();
-                json!({ "name": output.name(), "unit": output.info().unit, "needs": needs })
+                json!({ "name": output.name(), "unit": output.unit(), "needs": needs })
             })
             .collect();
         json!({
@@ -330,17 +327,17 @@ impl Session {
         let features: Vec<Arc<Feature>> = self.listed().iter().filter(|f| touched.contains(&f.id)).cloned().collect();
         let tolerance = self.tolerance();
         let layer = FeatureLayer { class: self.class.clone(), tolerance, features, pose_covariances: Vec::new() };
-        let found = features::find(&self.world, &layer)?;
-        if let Some(id) = found.off.first().filter(|_| !restores) {
+        let found = features::place_layer(&self.world, &layer)?;
+        if let Some(id) = found.lost.first().filter(|_| !restores) {
             let feature = layer.features.iter().find(|f| f.id == *id);
             let why = feature.and_then(|f| features::why_off(&self.world, &self.class, tolerance, f));
             return Err(why.unwrap_or_else(|| Error::invalid(format!("feature {id} lies on no polygon"), "move it")));
         }
         let untouched = self.placed.features.iter().filter(|p| !touched.contains(&p.feature.id)).cloned();
-        let mut all: Vec<PlacedFeature> = untouched.chain(found.placed).collect();
+        let mut all: Vec<PlacedFeature> = untouched.chain(found.features.iter().cloned()).collect();
         all.sort_by_key(|p| p.feature.id);
         let mut lost: Vec<u32> = self.placed.lost.iter().copied().filter(|id| !touched.contains(id)).collect();
-        lost.extend(found.off);
+        lost.extend(&*found.lost);
         lost.sort_unstable();
         Ok(PlacedFeatures { features: all.into(), lost: lost.into(), objects: self.placed.objects.clone() })
     }
@@ -409,7 +406,7 @@ fn named(change: &Change, to: &mut BTreeSet<u32>) {
     }
 }
 
-/// A pose inside the scene, or in the middle of its bounds if nothing is free.
+/// A pose inside the scene, or the middle of its bounds if no pose is free.
 fn first_pose(world: &World) -> SensorPose {
     let middle = || {
         let bounds = world.environment().bounds();

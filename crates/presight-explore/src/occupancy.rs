@@ -15,7 +15,7 @@ pub const MAX_CELLS: f64 = 1e8;
 const LEVEL: f64 = 0.97;
 /// Maximum unevenness of a floor, metres.
 const UNEVEN: f64 = 0.1;
-/// Maximum distance from a cell of a surface that counts as inside, metres.
+/// Maximum distance between a cell and a surface that touches it, metres.
 const TOUCH: f64 = 1e-6;
 
 /// The state of a cell.
@@ -25,7 +25,7 @@ pub enum Cell {
     Free,
     /// Obstacle between the heights.
     Occupied,
-    /// Without a floor, or unobserved.
+    /// Unobserved cell, or cell without a floor.
     Unknown,
 }
 
@@ -199,8 +199,8 @@ impl Grid {
     pub fn yaml(&self, image: &str) -> String {
         // A grey value of 205 is the probability (255 - 205) / 255 = 0.19608, which lies between the thresholds.
         format!(
-            "image: {image}\nmode: trinary\nresolution: {:?}\norigin: [{:?}, {:?}, 0.0]\nnegate: 0\noccupied_thresh: 0.65\n\
-             free_thresh: 0.196\n",
+            "image: {image}\nmode: trinary\nresolution: {:?}\norigin: [{:?}, {:?}, 0.0]\nnegate: 0\n\
+             occupied_thresh: 0.65\nfree_thresh: 0.196\n",
             self.cell, self.origin.x, self.origin.y
         )
     }

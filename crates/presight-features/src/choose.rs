@@ -17,7 +17,7 @@ use std::collections::BinaryHeap;
 
 /// Limit on the number of gain evaluations; takes some seconds. Nearly equal features need new evaluations after each
 /// choice. Beyond the limit, their last known gains are used.
-const MOST_ASKED: usize = 1 << 24;
+const MAX_EVALUATIONS: usize = 1 << 24;
 
 /// Keeps the best `most` of the visible features and all hidden ones; returns how many were dropped. Information is
 /// weighted by existence and contrast (1 if unknown). Among equal features the lower id is kept. `known` is the prior
@@ -36,9 +36,9 @@ pub fn choose(
     }
     let informations = informations(prediction, placed, vantage);
     let informations: Vec<(u32, Matrix)> =
-        informations.into_iter().map(|(i, told)| (prediction.features[i].feature.id, told)).collect();
+        informations.into_iter().map(|(i, information)| (prediction.features[i].feature.id, information)).collect();
     let mut keep: Vec<bool> = prediction.features.iter().map(|f| f.visible.is_empty()).collect();
-    for chosen in greedy(&prior(known), &informations, most, MOST_ASKED) {
+    for chosen in greedy(&prior(known), &informations, most, MAX_EVALUATIONS) {
         keep[seen[chosen]] = true;
     }
     let numbers = (0..keep.len()).filter(|i| keep[*i]).map(|i| prediction.given_at(i) as u32).collect();

@@ -12,7 +12,8 @@ pub enum FeatureSource {
     Placed(PlacedFeatures),
 }
 
-/// The detail in which a prediction reports features without a visible part. Partly visible features always list all hidden parts.
+/// The detail in which a prediction reports features without a visible part. Partly visible features always list all
+/// hidden parts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Hidden {
     /// Reports every feature, with each hidden part and its reason. Features entirely out of view are listed separately
@@ -47,9 +48,9 @@ pub struct FeatureOptions {
     pub max_features: Option<usize>,
     /// How visibility is decided.
     pub visibility: Visibility,
-    /// Maximum length of a feature's image per sample, 0.001 pixels to [`STEP`]. Finer steps make visible fractions more
-    /// precise and take longer. A patch over more than 1,024 pixels is sampled at its pixels. With [`Visibility::Rays`]
-    /// a patch has up to 4,096 samples, and up to 64 times as many for finer steps.
+    /// Maximum length of a feature's image per sample, 0.001 pixels to [`STEP`]. Finer steps make visible fractions
+    /// more precise and take longer. A patch over more than 1,024 pixels is sampled at its pixels. With
+    /// [`Visibility::Rays`] a patch has up to 4,096 samples, and up to 64 times as many for finer steps.
     pub step: f64,
 }
 

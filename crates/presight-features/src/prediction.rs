@@ -7,62 +7,34 @@ use presight_model::environment::{Environment, Feature};
 use presight_render::plan::CountName;
 use std::sync::Arc;
 
-/// Why a part of a feature is hidden. If several reasons apply, the first in this order is given.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Reason {
-    /// Behind a camera.
-    BehindSensor,
-    /// Outside the image; for a scanner with one row also above or below its beam.
-    OutsideImage,
-    /// Nearer than `range_min`.
-    BelowRangeMin,
-    /// Farther than `range_max`.
-    BeyondRangeMax,
-    /// All polygons on which it lies are invisible to the sensor's class.
-    Material,
-    /// Seen from behind. Applies to landmarks, and to features that lie only on one-sided polygons.
-    FacingAway,
-    /// Seen at a larger angle of incidence than `max_incidence`.
-    Oblique,
-    /// Behind another polygon.
-    Occluded,
-    /// Covered by a polygon that is, within rounding, equally far away.
-    Undecided,
-    /// Unknown: the pixels that would decide were given up for a deadline, and no other occluder was found.
-    NotPredicted,
+presight_model::words! {
+    /// Why a part of a feature is hidden. If several reasons apply, the first in this order is given.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+    pub enum Reason {
+        /// Behind a camera.
+        BehindSensor = "behind_sensor",
+        /// Outside the image; for a scanner with one row also above or below its beam.
+        OutsideImage = "outside_image",
+        /// Nearer than `range_min`.
+        BelowRangeMin = "below_range_min",
+        /// Farther than `range_max`.
+        BeyondRangeMax = "beyond_range_max",
+        /// All polygons on which it lies are invisible to the sensor's class.
+        Material = "material",
+        /// Seen from behind. Applies to landmarks, and to features that lie only on one-sided polygons.
+        FacingAway = "facing_away",
+        /// Seen at a larger angle of incidence than `max_incidence`.
+        Oblique = "oblique",
+        /// Behind another polygon.
+        Occluded = "occluded",
+        /// Covered by a polygon that is, within rounding, equally far away.
+        Undecided = "undecided",
+        /// Unknown: the pixels that would decide were given up for a deadline, and no other occluder was found.
+        NotPredicted = "not_predicted",
+    }
 }
 
 impl Reason {
-    /// All reasons, in order.
-    pub const ALL: [Self; 10] = [
-        Self::BehindSensor,
-        Self::OutsideImage,
-        Self::BelowRangeMin,
-        Self::BeyondRangeMax,
-        Self::Material,
-        Self::FacingAway,
-        Self::Oblique,
-        Self::Occluded,
-        Self::Undecided,
-        Self::NotPredicted,
-    ];
-
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::BehindSensor => "behind_sensor",
-            Self::OutsideImage => "outside_image",
-            Self::BelowRangeMin => "below_range_min",
-            Self::BeyondRangeMax => "beyond_range_max",
-            Self::Material => "material",
-            Self::FacingAway => "facing_away",
-            Self::Oblique => "oblique",
-            Self::Occluded => "occluded",
-            Self::Undecided => "undecided",
-            Self::NotPredicted => "not_predicted",
-        }
-    }
-
     /// Returns true for parts outside the image or range limits. Visible shares do not include them.
     pub fn is_outside(self) -> bool {
         self <= Self::BeyondRangeMax
@@ -75,8 +47,8 @@ pub struct VisibleInterval {
     /// Start and end as fractions of the length in space, 0..=1, from the first defining point to the last. [0, 1] for
     /// a point. For a patch, shares of its area in the image: first the visible part, then the hidden parts by reason.
     pub t: [f64; 2],
-    /// Pixel coordinates of both ends (column, row). For a patch, the bounding box of the visible part. Between the ends
-    /// of a contour's part see [`super::image_path`].
+    /// Pixel coordinates of both ends (column, row). For a patch, the bounding box of the visible part. Between the
+    /// ends of a contour's part see [`super::image_path`].
     pub pixels: [DVec2; 2],
 }
 
@@ -134,7 +106,8 @@ pub struct SeenFeature {
     /// 2 x 2 covariance in the image of every defining point, pixels squared. Present for visible features whose
     /// defining points all have an image; never for contours.
     pub image_covariance: Option<Vec<[[f64; 2]; 2]>>,
-    /// Boxes in the image that together hold the visible part of a patch. Cleared when its region of interest has been computed.
+    /// Boxes in the image that together hold the visible part of a patch. Cleared when its region of interest has been
+    /// computed.
     pub windows: Vec<[DVec2; 2]>,
 }
 
@@ -267,6 +240,7 @@ pub struct FeaturePrediction {
     /// pixel. Points and landmarks win over segments, then contours, then patches; then lower numbers win.
     pub feature_id: Vec<u32>,
     /// How visibility was decided.
+    #[doc(hidden)]
     pub stats: FeatureStats,
     /// With [`super::Hidden::Full`] and [`super::Hidden::Reason`], indices of the given features that are entirely out
     /// of view, in ascending order with reasons. `features` has no entries for them before

@@ -1,7 +1,7 @@
 //! Bounding-box trees over the features of a layer, one per object in its frame. They stay valid when objects move.
 
 use super::PlacedFeature;
-use super::visible::WorkspaceMemory;
+use super::visible::workspaces::WorkspaceMemory;
 use glam::DVec3;
 use presight_model::contour::ContourSet;
 use presight_model::environment::Environment;

@@ -13,9 +13,9 @@
 //! obstacles. All of it is in the robot's frame, with `polyline_in_world` in the world's; metres. `format` is optional;
 //! format 2 has one of the four, format 1 only the first.
 
-use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::error::{Error, Result};
 use presight_predict::virtual_sensors::Corridor;
-use presight_read::text::from_settings;
+use presight_read::text::{check_version, from_settings};
 use std::path::Path;
 
 /// The newest format.
@@ -33,8 +33,9 @@ const NEWEST: i64 = 2;
 /// ```
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] naming place and field: invalid JSON, unknown or missing keys, errors of [`Corridor::new`],
-/// [`Corridor::polygon`] and [`Corridor::swept`]; [`ErrorKind::Unsupported`] for a newer format.
+/// [`presight_model::ErrorKind::Invalid`] naming place and field: invalid JSON, unknown or missing keys, errors of
+/// [`Corridor::new`], [`Corridor::polygon`] and [`Corridor::swept`]; [`presight_model::ErrorKind::Unsupported`] for a
+/// newer format.
 pub fn read(path: &Path) -> Result<Corridor> {
     from_settings(path, parse)
 }
@@ -70,16 +71,7 @@ pub fn parse(text: &str) -> Result<Corridor> {
     };
     // Checked first, because a newer file may hold keys that this build cannot know.
     let header: Header = serde_json::from_str(text).map_err(wrong)?;
-    match header.format {
-        None | Some(1..=NEWEST) => {}
-        Some(newer) if newer > NEWEST => {
-            let what = format!("format {newer} is newer than this presight, which reads format {NEWEST}");
-            return Err(Error::new(ErrorKind::Unsupported, what, "update presight"));
-        }
-        Some(other) => {
-            return Err(Error::invalid(format!("format {other} never existed"), format!("write \"format\": {NEWEST}")));
-        }
-    }
+    check_version(header.format.or(Some(1)), NEWEST, "\"format\": 1")?;
     serde_json::from_str::<Fields>(text).map_err(wrong)?.corridor()
 }
 
@@ -126,6 +118,7 @@ impl Fields {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use presight_model::error::ErrorKind;
 
     #[test]
     fn faults_are_named() {

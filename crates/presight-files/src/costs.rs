@@ -5,9 +5,9 @@
 //! the last ratios of measured to estimated time. Entries for other adapters or numbers of threads are not used. A key
 //! does not name the CPU, so keep one file per machine.
 
-use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::error::{Error, Result};
 use presight_read::atomic::write_atomically;
-use presight_read::text::{FORMAT, from_text};
+use presight_read::text::{FORMAT, check_version, from_text};
 use presight_render::cost::{CostModel, Forecast, KINDS, Key, MAX_MODELS, UnitCosts, WorkCounts};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -43,8 +43,8 @@ struct Entry {
 /// Reads learnt costs.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] naming place and field: invalid JSON, wrong or repeated keys, NaN, costs below 0;
-/// [`ErrorKind::Unsupported`] for a newer format.
+/// [`presight_model::ErrorKind::Invalid`] naming place and field: invalid JSON, wrong or repeated keys, NaN, costs
+/// below 0; [`presight_model::ErrorKind::Unsupported`] for a newer format.
 pub fn read(path: &Path) -> Result<CostModel> {
     from_text(path, parse)
 }
@@ -63,15 +63,7 @@ pub fn parse(text: &str) -> Result<CostModel> {
         Error::invalid(format!("is not a valid file of costs: {e}"), REMEDY).at(place).caused_by(e)
     };
     let header: Header = serde_json::from_str(text).map_err(wrong)?;
-    match header.format {
-        Some(FORMAT) => {}
-        Some(newer) if newer > FORMAT => {
-            let what = format!("format {newer} is newer than this presight, which reads format {FORMAT}");
-            return Err(Error::new(ErrorKind::Unsupported, what, "update presight, or delete the file"));
-        }
-        Some(other) => return Err(Error::invalid(format!("format {other} never existed"), REMEDY)),
-        None => return Err(Error::invalid("has no format", REMEDY)),
-    }
+    check_version(header.format, FORMAT, "\"format\": 1")?;
     let file: File = serde_json::from_str(text).map_err(wrong)?;
     if file.models.len() > MAX_MODELS {
         return Err(Error::invalid(format!("has {} models, more than {MAX_MODELS}", file.models.len()), REMEDY));
@@ -147,7 +139,7 @@ fn within(x: f64, low: f64, high: f64) -> Result<f64> {
 /// ```
 ///
 /// # Errors
-/// [`ErrorKind::System`] naming the file.
+/// [`presight_model::ErrorKind::System`] naming the file.
 pub fn write(path: &Path, model: &CostModel) -> Result<()> {
     write_atomically(path, |file| file.write_all(to_text(model).as_bytes()))
 }
@@ -175,6 +167,7 @@ pub fn to_text(model: &CostModel) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use presight_model::error::ErrorKind;
 
     fn learnt() -> (CostModel, Key) {
         let key = Key {
@@ -213,7 +206,7 @@ mod tests {
         for (from, to, named, kind) in [
             ("\"format\": 1", "\"format\": 2", "newer", ErrorKind::Unsupported),
             ("\"format\": 1", "\"format\": 0", "never existed", ErrorKind::Invalid),
-            ("\"format\": 1", "\"form\": 1", "no format", ErrorKind::Invalid),
+            ("\"format\": 1", "\"form\": 1", "name its format", ErrorKind::Invalid),
             (&polygon, "\"polygon\": -1e-9,", "seconds: polygon", ErrorKind::Invalid),
             (&polygon, "\"polygon\": NaN,", "line", ErrorKind::Invalid),
             (&polygon, "\"polygon\": null,", "line", ErrorKind::Invalid),

@@ -5,6 +5,7 @@ pub mod corridor;
 pub mod costs;
 pub mod exr;
 pub mod npy;
+pub mod npy_stack;
 pub mod pcd;
 pub mod ply;
 mod point_fields;

@@ -26,6 +26,7 @@ pub mod sensor;
 pub mod statistics;
 pub mod threads;
 pub mod union_find;
+mod words;
 pub mod world;
 
 pub use change::Change;

@@ -60,7 +60,7 @@ pub const MAX_SCRIPT_OPERATIONS: u64 = 5_000_000;
 /// Maximum run time of a script without imports and construction, seconds: a last resort that a valid script should not
 /// reach.
 pub const MAX_SCRIPT_SECONDS: u64 = 30;
-/// Maximum size of a module's variable, in elements including those of nested arrays; 16 bytes of text count as one
+/// Maximum size of a module's variable, in elements, with nested arrays included; 16 bytes of text count as one
 /// element. Each use copies the value.
 pub const MAX_SCRIPT_EXPORT: usize = 64;
 /// Maximum length of a string literal in a script, bytes.
@@ -96,7 +96,7 @@ pub const MAX_SCRIPT_POLYGONS: u64 = 1 << 26;
 /// Maximum number of polygon corners that shapes and placed objects of a script may hold at a time, under 1 GB. Names
 /// and features count by their size.
 pub const MAX_SCRIPT_CORNERS: u64 = 1 << 24;
-/// Maximum number of polygon corners that a script may make in total, including those of dropped shapes: some seconds.
+/// Maximum number of polygon corners that a script may make in total, with dropped shapes included: some seconds.
 pub const MAX_SCRIPT_WORK: u64 = 1 << 27;
 /// Maximum number of features that a script may place.
 pub const MAX_SCRIPT_FEATURES: u64 = 1 << 18;

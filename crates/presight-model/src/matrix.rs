@@ -243,7 +243,7 @@ mod tests {
         for (i, expected) in [25.0, 1.0, 1e12, 1e-12, 0.0, 0.5].into_iter().enumerate() {
             assert!((inverse[i][i] - expected).abs() <= 1e-9 * expected, "{i}: {}", inverse[i][i]);
         }
-        // Two axes of which only the sum has information.
+        // Two axes with information on their sum only.
         let mut m = diagonal([1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
         (m[0][1], m[1][0]) = (1.0, 1.0);
         let inverse = super::inverse(&m, &all);

@@ -19,9 +19,9 @@ const FRAME: Rgb = [0xff, 0x5a, 0x36];
 /// Share of the frame that is shown around it on each side.
 const AROUND: f64 = 0.6;
 /// Minimum number of sensor pixels that a panel shows along each side.
-const FEWEST: f64 = 24.0;
+const MIN_PIXELS: f64 = 24.0;
 /// Minimum distance around the place that the panel of a one-row scan shows, metres.
-const LEAST_AROUND: f64 = 1.0;
+const MIN_AROUND: f64 = 1.0;
 
 /// A range image under a name.
 #[derive(Clone, Copy, Debug)]
@@ -32,8 +32,9 @@ pub struct Panel<'a> {
     pub range: &'a [f32],
 }
 
-/// The surroundings of a place in several range images of one sensor, as the bytes of a PNG file. All have the colours of one scale,
-/// near yellow and far violet; left is left. A frame marks the place. A scan of one row is drawn from above, x (forward) up.
+/// The surroundings of a place in several range images of one sensor, as the bytes of a PNG file. All have the colours
+/// of one scale, near yellow and far violet; left is left. A frame marks the place. A scan of one row is drawn from
+/// above, x (forward) up.
 ///
 /// `around` are points in the sensor's body frame, metres, such as the corners of a box around the place.
 ///
@@ -80,7 +81,7 @@ fn frame(canvas: &mut Canvas, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) 
 
 /// From `low` to `high` along one side of the image, in pixels: the window around a place, inside the image.
 fn window(low: f64, high: f64, size: f64) -> (f64, f64) {
-    let half = (0.5 * (high - low) * (1.0 + 2.0 * AROUND)).max(0.5 * FEWEST).min(0.5 * size);
+    let half = (0.5 * (high - low) * (1.0 + 2.0 * AROUND)).max(0.5 * MIN_PIXELS).min(0.5 * size);
     let middle = (0.5 * (low + high)).clamp(half, (size - half).max(half));
     (middle - half, middle + half)
 }
@@ -148,7 +149,7 @@ fn from_above(panels: &[Panel<'_>], sensor: &Sensor, around: &[DVec3]) -> Canvas
     };
     let (least, most) = bounds(&mut around.iter().map(|p| p.truncate()));
     let (least, most) = if least.is_finite() { (least, most) } else { (DVec2::ZERO, DVec2::ZERO) };
-    let half = (0.5 * (most - least).max_element() * (1.0 + 2.0 * AROUND)).max(LEAST_AROUND);
+    let half = (0.5 * (most - least).max_element() * (1.0 + 2.0 * AROUND)).max(MIN_AROUND);
     let (middle, per_metre) = (0.5 * (least + most), 0.5 * SIDE / half);
     let size = (SIDE as u32, SIDE as u32);
     let scale = Scale::of_values(panels.iter().flat_map(|panel| panel.range.iter().copied()));

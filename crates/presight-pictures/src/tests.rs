@@ -164,8 +164,8 @@ fn comparisons_of_another_size_are_refused() {
     assert!(refused(&images.range, &[9; 8]).is_none());
 }
 
-/// Three images side by side in one scale: the near pixel of the second one is in the second third, on its side of the panel. A
-/// frame is around it, and what lies far from it is not shown.
+/// Three images side by side in one scale: the near pixel of the second one is in the second third, on its side of the
+/// panel. A frame is around it, and what lies far from it is not shown.
 #[test]
 fn panels_share_a_scale_and_show_a_place() {
     let near = color::by_distance(0.0);

@@ -71,9 +71,7 @@ fn is_surrounded(world: &World, rays: &[DVec3], pose: &Pose, found: &mut QueryRe
     let (at, reach) = (pose.translation, (bounds.max - bounds.min).length());
     let mut hits = |ray: &DVec3| {
         let direction = pose.rotation * *ray;
-        found.clear();
-        world.index().query(environment, &Region::ray(at, direction, reach), found);
-        found.all().filter_map(|slot| environment.locate(slot)).any(|(object, polygon)| {
+        world.polygons_in(&Region::ray(at, direction, reach), found).any(|(object, polygon)| {
             let object = &environment.objects()[object as usize];
             let facing = facings[usize::from(object.mesh.material(polygon))];
             facing.opaque && is_hit(object, polygon, at, direction, facing.one_sided)
@@ -120,9 +118,7 @@ fn is_hit(object: &Object, polygon: u32, at: DVec3, direction: DVec3, one_sided:
 /// Distance down to the nearest polygon below a point, metres; `None` if there is none within `reach`.
 pub fn height_above(world: &World, at: DVec3, reach: f64, found: &mut QueryResult) -> Option<f64> {
     let (environment, down) = (world.environment(), DVec3::NEG_Z);
-    found.clear();
-    world.index().query(environment, &Region::ray(at, down, reach), found);
-    let below = found.all().filter_map(|slot| environment.locate(slot)).filter_map(|(object, polygon)| {
+    let below = world.polygons_in(&Region::ray(at, down, reach), found).filter_map(|(object, polygon)| {
         let object = &environment.objects()[object as usize];
         let corners = corners_from(object, polygon, at);
         let normal = normal_of(&corners);
@@ -134,11 +130,8 @@ pub fn height_above(world: &World, at: DVec3, reach: f64, found: &mut QueryResul
 /// True if no polygon is nearer than [`FREE_DISTANCE`].
 pub fn is_clear(world: &World, at: DVec3, found: &mut QueryResult) -> bool {
     let environment = world.environment();
-    found.clear();
-    world.index().query(environment, &Region::ball(at, FREE_DISTANCE), found);
-    found
-        .all()
-        .filter_map(|slot| environment.locate(slot))
+    world
+        .polygons_in(&Region::ball(at, FREE_DISTANCE), found)
         .all(|(object, polygon)| distance(&environment.objects()[object as usize], polygon, at) >= FREE_DISTANCE)
 }
 

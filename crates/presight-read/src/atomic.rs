@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 /// (`/dev/null`, a pipe, `/dev/stdout`) is not replaced: the finished bytes are written into it.
 ///
 /// # Errors
-/// [`ErrorKind::System`] naming the file, for whatever reason, including a missing folder and missing write permission.
+/// [`ErrorKind::System`] naming the file, for any reason, including a missing folder and missing write permission.
 pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> Result<()> {
     let refused = |e| refused(path, e);
     match fs::metadata(path) {
@@ -83,7 +83,7 @@ pub fn target_of(path: &Path) -> io::Result<PathBuf> {
     Err(io::Error::other("too many levels of symbolic links"))
 }
 
-/// True for a path of an open file of this process: output is appended to it, whatever it is.
+/// True for a path of an open file of this process: output is appended to it, also to a regular file.
 pub fn is_given(path: &Path) -> bool {
     ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"].iter().any(|given| path.starts_with(given))
 }

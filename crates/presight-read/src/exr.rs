@@ -1,6 +1,7 @@
 //! OpenEXR files: their channels and text attributes, before anything is known of the images.
 
 use crate::file;
+use crate::text::{FORMAT, check_version};
 use exr::image::FlatSamples;
 use exr::meta::attribute::{AttributeValue, SampleType};
 use exr::meta::header::Header;
@@ -11,9 +12,6 @@ use presight_model::printable::quoted;
 use presight_model::{limits, memory};
 use std::io::BufReader;
 use std::path::Path;
-
-/// The version of the attributes `presight:*` that presight writes, and the newest that it reads.
-pub const FORMAT: u32 = 1;
 
 /// A channel that a reader knows.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,7 +29,7 @@ pub struct ExrFile {
     pub width: u32,
     /// Number of rows.
     pub height: u32,
-    /// Names and pixels of all channels; the known ones have the type that was asked for.
+    /// Names and pixels of all channels. A known channel has the type of [`KnownChannel`].
     pub channels: Vec<(String, FlatSamples)>,
     /// Names and values of the attributes `presight:*`, names without the prefix.
     pub texts: Vec<(String, String)>,
@@ -132,7 +130,7 @@ fn check_channels(header: &Header, known: &[KnownChannel]) -> Result<()> {
     if has_known {
         return Ok(());
     }
-    let what = format!("none of its channels ({}) is known", names[..names.len().min(8)].join(", "));
+    let what = format!("its channels ({}) are unknown", names[..names.len().min(8)].join(", "));
     let wanted: Vec<&str> = known.iter().map(|k| k.name.as_str()).collect();
     Err(Error::invalid(what, wanted.join(", ")).at("channels"))
 }
@@ -150,7 +148,7 @@ fn texts_of(header: &Header) -> Result<Vec<(String, String)>> {
         let text = std::str::from_utf8(text.as_slice())
             .map_err(|e| wrong("is not UTF-8", "write it as UTF-8").caused_by(e))?;
         if name == "format" {
-            check_format(text).map_err(|e| e.at(attribute(name)))?;
+            check_version(text.parse().ok(), FORMAT, "1").map_err(|e| e.at(attribute(name)))?;
         }
         texts.push((name.to_owned(), text.to_owned()));
     }
@@ -160,16 +158,6 @@ fn texts_of(header: &Header) -> Result<Vec<(String, String)>> {
 /// The place of an attribute in messages.
 pub fn attribute(name: &str) -> String {
     format!("attribute \"presight:{name}\"")
-}
-
-fn check_format(text: &str) -> Result<()> {
-    match text.parse::<u32>() {
-        Ok(FORMAT) => Ok(()),
-        Ok(newer) if newer > FORMAT => {
-            Err(unsupported(format!("is {newer}; this presight reads up to {FORMAT}"), "use a newer presight"))
-        }
-        _ => Err(Error::invalid(format!("is {}", quoted(text)), format!("write {FORMAT}"))),
-    }
 }
 
 /// A pose as `x,y,z,qx,qy,qz,qw`, each the shortest text that reads back as the same f64.

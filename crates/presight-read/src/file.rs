@@ -1,5 +1,5 @@
 //! The only place that opens files for reading. A pipe without a writer must not block for ever, and no file may
-//! deliver more than a limit, whatever size the system reports.
+//! deliver more than a limit, even if the system reports a wrong size.
 //!
 //! A regular file is read up to its length when it was opened, so reading a growing file ends. Files that the system
 //! generates on reading, such as `/proc/kmsg`, report length 0 and read as empty.

@@ -96,7 +96,7 @@ pub fn sidecar_path(scene: &Path) -> PathBuf {
 }
 
 impl Sidecar {
-    /// Reads the sidecar of a scene. If there is none, the result changes nothing. [`Sidecar::apply_to`] reports wrong
+    /// Reads the sidecar of a scene. A scene without a sidecar gives an empty one. [`Sidecar::apply_to`] reports wrong
     /// keys and values, together with materials that the scene lacks.
     pub(crate) fn for_scene(scene: &Path) -> Result<Self> {
         let path = sidecar_path(scene);

@@ -68,7 +68,7 @@ pub fn load_robot(path: &Path) -> Result<(Robot, Vec<String>)> {
             let sensor = entry.load(folder, &mut notices).map_err(|e| e.named_in(path, format!("sensor {i}")))?;
             let name = &sensor.spec().name;
             if sensors.iter().any(|other| other.spec().name == *name) {
-                return Err(Error::invalid(format!("two sensors are named {name:?}"), "give each a name of its own")
+                return Err(Error::invalid(format!("two sensors are named {name:?}"), "give each a different name")
                     .at(format!("sensor {i}")));
             }
             sensors.push(sensor);

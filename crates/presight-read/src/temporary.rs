@@ -1,6 +1,7 @@
 //! Temporary files in the folder of the final file: locked while written, and removed if a killed process leaves them.
 
 use presight_model::clock::{self, Instant};
+use presight_model::error::{self, Error, ErrorKind};
 use std::collections::{BTreeSet, HashMap};
 use std::ffi::OsStr;
 use std::fs::{self, DirEntry, File};
@@ -112,6 +113,19 @@ fn create(path: &Path, access: Access) -> io::Result<File> {
     #[cfg(not(unix))]
     let _ = access;
     options.open(path)
+}
+
+/// Creates an output folder and checks that it is writable, so that a program fails before minutes of work, not after.
+///
+/// # Errors
+/// [`ErrorKind::System`] naming the folder, whatever the cause: no input file is at fault.
+pub fn create_folder(folder: &Path) -> error::Result<()> {
+    let refused = |what: &str, e: io::Error| {
+        let what = format!("cannot {what}: {e}");
+        Error::new(ErrorKind::System, what, "choose another folder").in_file(folder).caused_by(e)
+    };
+    fs::create_dir_all(folder).map_err(|e| refused("create the folder", e))?;
+    Temporary::new(folder, Access::Private).map(drop).map_err(|e| refused("write into the folder", e))
 }
 
 /// Does a short piece of work that [`abandon`] waits for, so that no signal ends the process in its middle.

@@ -122,15 +122,22 @@ pub(crate) fn check_format(text: &str) -> Result<()> {
     struct Header {
         format: Option<i64>,
     }
-    match toml_from_str::<Header>(text)?.format {
-        Some(FORMAT) => Ok(()),
-        Some(newer) if newer > FORMAT => Err(Error::new(
-            ErrorKind::Unsupported,
-            format!("format {newer} is newer than this presight, which reads format {FORMAT}"),
-            "update presight",
-        )),
-        Some(other) => Err(Error::invalid(format!("format {other} never existed"), format!("write format = {FORMAT}"))),
-        None => Err(Error::invalid("the file does not name its format", format!("write format = {FORMAT} at its top"))),
+    check_version(toml_from_str::<Header>(text)?.format, FORMAT, "format = 1")
+}
+
+/// Checks the format number of a file. This build reads the formats 1 to `newest`. `example` is the key as in the file.
+///
+/// # Errors
+/// [`ErrorKind::Unsupported`] for a newer format; [`ErrorKind::Invalid`] for a missing one and for one below 1.
+pub fn check_version(format: Option<i64>, newest: i64, example: &str) -> Result<()> {
+    match format {
+        Some(known) if (1..=newest).contains(&known) => Ok(()),
+        Some(newer) if newer > newest => {
+            let what = format!("format {newer} is newer than this presight, which reads formats up to {newest}");
+            Err(Error::new(ErrorKind::Unsupported, what, "update presight"))
+        }
+        Some(other) => Err(Error::invalid(format!("format {other} never existed"), format!("write {example}"))),
+        None => Err(Error::invalid("the file does not name its format", format!("write {example} at its top"))),
     }
 }
 

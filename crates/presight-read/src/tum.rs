@@ -8,7 +8,7 @@ use presight_model::geometry::Pose;
 use presight_model::printable::quoted;
 use std::fs::File;
 use std::io::{BufReader, Take};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// A pose with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,9 +32,7 @@ pub fn read(path: &Path) -> Result<Vec<StampedPose>> {
 /// # Errors
 /// As [`read`].
 pub fn read_with_stamps(path: &Path) -> Result<Vec<(String, StampedPose)>> {
-    from_text(path, |text| {
-        Ok(parse_with_stamps(text)?.into_iter().map(|(stamp, pose)| (stamp.to_owned(), pose)).collect())
-    })
+    from_text(path, |text| poses_in(text).collect())
 }
 
 /// Reads the text of a trajectory.
@@ -42,39 +40,29 @@ pub fn read_with_stamps(path: &Path) -> Result<Vec<(String, StampedPose)>> {
 /// # Errors
 /// As [`read`], without the file.
 pub fn parse(text: &str) -> Result<Vec<StampedPose>> {
-    Ok(parse_with_stamps(text)?.into_iter().map(|(_, stamped)| stamped).collect())
+    poses_in(text).map(|pose| Ok(pose?.1)).collect()
 }
 
-/// As [`parse`], with the time stamp of each pose as text.
-///
-/// # Errors
-/// As [`parse`].
-pub fn parse_with_stamps(text: &str) -> Result<Vec<(&str, StampedPose)>> {
-    let mut poses = Vec::new();
-    for (number, line) in (1..).zip(text.lines()) {
-        let line = line.trim();
-        if !line.is_empty() && !line.starts_with('#') {
-            let pose = stamped(line).map_err(|e| e.at(format!("line {number}")))?;
-            poses.push((line.split_whitespace().next().unwrap_or_default(), pose));
-        }
+fn poses_in(text: &str) -> impl Iterator<Item = Result<(String, StampedPose)>> {
+    (1..).zip(text.lines()).filter_map(|(number, line)| pose_in(line, number).transpose())
+}
+
+/// The pose of a line with its time stamp as text; `None` for an empty line and a comment.
+fn pose_in(line: &str, number: usize) -> Result<Option<(String, StampedPose)>> {
+    let line = line.trim();
+    if line.is_empty() || line.starts_with('#') {
+        return Ok(None);
     }
-    Ok(poses)
-}
-
-/// Poses of a file, read line by line.
-pub struct Stream {
-    path: PathBuf,
-    reader: BufReader<Take<File>>,
-    line: usize,
-    ended: bool,
+    let pose = stamped(line).map_err(|e| e.at(format!("line {number}")))?;
+    Ok(Some((line.split_whitespace().next().unwrap_or_default().to_owned(), pose)))
 }
 
 /// Opens a trajectory that may be larger than memory. An invalid line gives an error when reached, and ends the stream.
 ///
 /// # Errors
 /// As for opening a file; pipes are refused, because callers read the file twice.
-pub fn stream(path: &Path) -> Result<Stream> {
-    Ok(Stream::new(path, file::open(path)?))
+pub fn stream(path: &Path) -> Result<impl Iterator<Item = Result<StampedPose>> + use<>> {
+    Ok(poses_of(path, file::open(path)?).map(|pose| Ok(pose?.1)))
 }
 
 /// As [`stream`], also from a pipe that was passed to this process. Each pose comes as soon as its line does, with its
@@ -83,43 +71,28 @@ pub fn stream(path: &Path) -> Result<Stream> {
 /// # Errors
 /// As for opening a file.
 pub fn stream_with_stamps(path: &Path) -> Result<impl Iterator<Item = Result<(String, StampedPose)>> + use<>> {
-    let mut stream = Stream::new(path, file::open_or_given(path)?);
-    Ok(std::iter::from_fn(move || stream.next_with_stamp()))
+    Ok(poses_of(path, file::open_or_given(path)?))
 }
 
-impl Stream {
-    fn new(path: &Path, file: Take<File>) -> Self {
-        Self { path: path.to_owned(), reader: BufReader::new(file), line: 0, ended: false }
-    }
-
-    fn next_with_stamp(&mut self) -> Option<Result<(String, StampedPose)>> {
-        if self.ended {
-            return None;
-        }
-        let next = self.read().map_err(|e| e.in_file(&self.path)).transpose();
-        self.ended = !matches!(next, Some(Ok(_)));
-        next
-    }
-
-    fn read(&mut self) -> Result<Option<(String, StampedPose)>> {
-        loop {
-            self.line += 1;
-            let Some(line) = read_line(&mut self.reader, self.line)? else { return Ok(None) };
-            let line = line.trim();
-            if !line.is_empty() && !line.starts_with('#') {
-                let pose = stamped(line).map_err(|e| e.at(format!("line {}", self.line)))?;
-                return Ok(Some((line.split_whitespace().next().unwrap_or_default().to_owned(), pose)));
+/// The poses of a file up to the first error.
+fn poses_of(path: &Path, file: Take<File>) -> impl Iterator<Item = Result<(String, StampedPose)>> + use<> {
+    let (path, mut reader) = (path.to_owned(), BufReader::new(file));
+    let mut numbers = 1..;
+    let mut next = move || -> Result<Option<(String, StampedPose)>> {
+        for number in numbers.by_ref() {
+            let Some(line) = read_line(&mut reader, number)? else { break };
+            if let Some(pose) = pose_in(&line, number)? {
+                return Ok(Some(pose));
             }
         }
-    }
-}
-
-impl Iterator for Stream {
-    type Item = Result<StampedPose>;
-
-    fn next(&mut self) -> Option<Result<StampedPose>> {
-        Some(self.next_with_stamp()?.map(|(_, pose)| pose))
-    }
+        Ok(None)
+    };
+    let mut ended = false;
+    std::iter::from_fn(move || {
+        let pose = if ended { None } else { next().map_err(|e| e.in_file(&path)).transpose() };
+        ended = !matches!(pose, Some(Ok(_)));
+        pose
+    })
 }
 
 fn stamped(line: &str) -> Result<StampedPose> {

@@ -1,4 +1,4 @@
-//! Assigns the rows of a table to its columns, each to one of its own, with the least total cost. Costs are integers,
+//! Assigns each row of a table to a different column with minimum total cost. Costs are integers,
 //! so that a tie is exact.
 
 use pathfinding::prelude::{Matrix, kuhn_munkres_min};
@@ -15,7 +15,7 @@ pub(super) struct Assignment {
     pub is_tie: bool,
 }
 
-/// Assigns every row of `costs` to a column of its own. There must be at least as many columns as rows.
+/// Assigns every row of `costs` to a different column. There must be at least as many columns as rows.
 pub(super) fn assign(costs: &[Vec<i64>]) -> Assignment {
     // In steps of more than the number of rows a cost of one for each pair only decides between equal totals.
     let step = costs.len() as i64 + 1;
@@ -69,9 +69,9 @@ mod tests {
             let columns = rows + more;
             let costs: Vec<Vec<i64>> = numbers.chunks(columns).take(rows).map(<[i64]>::to_vec).collect();
             let found = assign(&costs);
-            let (least, ways) = by_force(&costs, 0, &mut vec![false; columns]);
+            let (min_total, assignments) = by_force(&costs, 0, &mut vec![false; columns]);
             let total: i64 = found.columns.iter().zip(&costs).map(|(c, row)| row[*c]).sum();
-            prop_assert_eq!((total, found.is_tie), (least, ways > 1));
+            prop_assert_eq!((total, found.is_tie), (min_total, assignments > 1));
             let mut own = found.columns;
             own.sort_unstable();
             own.dedup();

@@ -24,7 +24,7 @@ impl RecordedChange {
     /// The error for another change with the same id.
     fn taken(&self, id: &str) -> Error {
         let what = format!("id {} belongs to change {}, which is different", quoted(id), self.number);
-        Error::invalid(what, "give each change an id of its own")
+        Error::invalid(what, "give each change a different id")
     }
 
     /// Returns the entry's number if a line describes the same change.

@@ -58,7 +58,7 @@ pub use line::apply_line;
 pub use log::LogEntry;
 pub use proposal::{ChangeEvidence, Edit, EditPose, ProposedChange, ShapeSource};
 pub use scene::{Existing, SceneMerge};
-pub use write::{Batch, Note};
+pub use write::{ChangeBatch, Note};
 
 use presight_model::change::Change;
 use presight_model::environment::{Environment, Mesh};
@@ -326,9 +326,9 @@ impl Store {
     ///
     /// # Errors
     /// [`ErrorKind::System`] if another writer has changed or locked the store since the last batch.
-    pub fn batch(&mut self) -> Result<Batch<'_>> {
+    pub fn batch(&mut self) -> Result<ChangeBatch<'_>> {
         self.lock()?;
-        Ok(Batch::new(self))
+        Ok(ChangeBatch::new(self))
     }
 
     /// Lets other programs write until the next batch begins. If one did, that batch is refused.

@@ -29,7 +29,7 @@ impl<'a> Materials<'a> {
         found.map(|(_, number)| number)
     }
 
-    /// Returns the number of an equal material. If there is none, appends a change that adds it.
+    /// Returns the number of an equal material; appends a change that adds it if the environment lacks it.
     pub fn number_of(&mut self, material: &Material, changes: &mut Vec<Change>) -> Result<u16> {
         let hash = material.content_hash();
         let found = self.all().position(|m| m.name == material.name && m.content_hash() == hash);

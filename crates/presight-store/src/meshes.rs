@@ -57,8 +57,9 @@ impl MeshRow {
 }
 
 impl Reader<'_> {
-    /// Reads all meshes; runs `beside` while they are decoded. Meshes that no object uses are verified but not kept.
-    pub fn meshes(&self, beside: impl FnOnce() -> Result<()>) -> Result<(HashMap<i64, LoadedMesh>, Trees)> {
+    /// Reads all meshes; runs `in_parallel` while they are decoded. Meshes that no object uses are verified but not
+    /// kept.
+    pub fn meshes(&self, in_parallel: impl FnOnce() -> Result<()>) -> Result<(HashMap<i64, LoadedMesh>, Trees)> {
         let mut used = HashSet::new();
         self.each("objects", "mesh", |row| {
             used.insert(get::<i64>(row, 0)?);
@@ -96,7 +97,7 @@ impl Reader<'_> {
                 let used = used.contains(&row.number);
                 scope.spawn(move |_| *done = Some(decode(row, parts, used).map_err(|e| row.place(e))));
             }
-            beside()
+            in_parallel()
         })??;
         let (mut meshes, mut trees) = (HashMap::with_capacity(rows.len()), Trees::default());
         for (row, done) in rows.into_iter().zip(done) {

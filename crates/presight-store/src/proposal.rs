@@ -33,6 +33,7 @@ pub struct ProposedChange {
     /// since.
     pub was: Vec<(String, Pose)>,
     /// The change.
+    #[doc(hidden)]
     pub edit: Edit,
 }
 
@@ -150,6 +151,7 @@ impl ProposedChange {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] if an [`Edit::Change`] inserts an object.
+    #[doc(hidden)]
     pub fn new(
         edit: Edit,
         cause: impl Into<String>,

@@ -49,7 +49,7 @@ pub(super) enum RestoreCheck {
     /// They must also lie on polygons.
     Checked,
     /// They are exempt, because they were in the environment before.
-    LetBe,
+    Exempt,
 }
 
 /// Options for applying a change, and its further columns in the log.
@@ -65,9 +65,9 @@ pub(super) struct Entry {
     pub undoes: Option<u64>,
 }
 
-/// Changes that become durable together, by [`Batch::commit`]. If the batch is dropped before that, or a write fails,
+/// Changes that become durable together, by [`ChangeBatch::commit`]. If the batch is dropped before that, or a write fails,
 /// the world and the store return to their state before the batch.
-pub struct Batch<'a> {
+pub struct ChangeBatch<'a> {
     store: &'a mut Store,
     /// True while there are uncommitted changes.
     open: bool,
@@ -77,7 +77,7 @@ pub struct Batch<'a> {
     notices: Vec<String>,
 }
 
-impl<'a> Batch<'a> {
+impl<'a> ChangeBatch<'a> {
     pub(super) fn new(store: &'a mut Store) -> Self {
         Self { store, open: false, taken_back: false, ids: Vec::new(), notices: Vec::new() }
     }
@@ -104,23 +104,23 @@ impl<'a> Batch<'a> {
     /// As [`World::apply`]; [`presight_model::ErrorKind::Invalid`] if the id belongs to another change. Earlier changes
     /// then stay in the batch. If writing to the store fails, the whole batch is undone.
     pub fn apply(&mut self, change: Change, note: &Note) -> Result<u64> {
-        self.record(change, note, &Entry { placed: Some(RestoreCheck::LetBe), ..Entry::default() })
+        self.record(change, note, &Entry { placed: Some(RestoreCheck::Exempt), ..Entry::default() })
     }
 
-    /// Like [`Batch::apply`], but features need not lie on polygons, as in [`World::apply_unchecked`].
+    /// Like [`ChangeBatch::apply`], but features need not lie on polygons, as in [`World::apply_unchecked`].
     ///
     /// # Errors
-    /// As [`Batch::apply`].
+    /// As [`ChangeBatch::apply`].
     pub fn apply_unchecked(&mut self, change: Change, note: &Note) -> Result<u64> {
         self.record(change, note, &Entry::default())
     }
 
-    /// Like [`Batch::apply`], for imported content. Features in `lost` (class, id) need not lie on polygons.
+    /// Like [`ChangeBatch::apply`], for imported content. Features in `lost` (class, id) need not lie on polygons.
     ///
     /// # Errors
-    /// As [`Batch::apply`].
+    /// As [`ChangeBatch::apply`].
     pub fn apply_imported(&mut self, change: Change, lost: Vec<(String, u32)>, note: &Note) -> Result<u64> {
-        self.record(change, note, &Entry { placed: Some(RestoreCheck::LetBe), lost, ..Entry::default() })
+        self.record(change, note, &Entry { placed: Some(RestoreCheck::Exempt), lost, ..Entry::default() })
     }
 
     /// Applies a change and writes it with its log entry.
@@ -162,14 +162,14 @@ impl<'a> Batch<'a> {
     /// log, and true if it is new.
     ///
     /// # Errors
-    /// As [`Batch::apply`], where restored features must also lie on polygons; [`presight_model::ErrorKind::Invalid`]
+    /// As [`ChangeBatch::apply`], where restored features must also lie on polygons; [`presight_model::ErrorKind::Invalid`]
     /// if the line is not a valid change.
     pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
         self.apply_parsed(Line::parse(line)?, folder, note)
     }
 
-    /// Applies a proposed change. Relative paths of scene files start at the working folder. Returns its number in the log, and true
-    /// if it is new.
+    /// Applies a proposed change. Relative paths of scene files start at the working folder. Returns its number in the
+    /// log, and true if it is new.
     ///
     /// # Errors
     /// As [`Batch::apply_line`].
@@ -240,7 +240,7 @@ impl<'a> Batch<'a> {
     }
 }
 
-impl Drop for Batch<'_> {
+impl Drop for ChangeBatch<'_> {
     fn drop(&mut self) {
         if self.open {
             self.take_back();

@@ -24,8 +24,8 @@ pub struct View {
     pub precision: Precision,
 }
 
-/// Compares the images of two files. Without a view, every difference is a fault. A file whose prediction gave up a part
-/// for a deadline is compared where it was predicted.
+/// Compares the images of two files. Without a view, every difference is a fault. A file whose prediction gave up a
+/// part for a deadline is compared where it was predicted.
 ///
 /// # Errors
 /// [`presight_model::ErrorKind::Invalid`] if the files hold different images, or both gave up a part.

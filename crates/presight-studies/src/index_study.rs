@@ -170,8 +170,17 @@ pub fn paper_sector(pose: &Pose) -> Result<Region> {
     Ok(Region::sector(pose.translation.truncate(), ahead.y.atan2(ahead.x), opening_deg.to_radians(), radius))
 }
 
+/// The indexes of a study with their parameters: the best ones, or every one of a sweep. Only some schemes if `only`
+/// lists any; `filter` tests the polygons of cells that are partly in the region.
+pub fn variants(only: &[Scheme], sweeps: bool, filter: bool) -> Vec<(Scheme, Params)> {
+    let mut variants = if sweeps { sweep() } else { Scheme::ALL.map(|s| (s, s.params())).to_vec() };
+    variants.retain(|(scheme, _)| only.is_empty() || only.contains(scheme));
+    variants.iter_mut().for_each(|(_, params)| params.filter = filter);
+    variants
+}
+
 /// The variants of a sweep: cell sizes of each scheme, and split axes of trees.
-pub fn sweep() -> Vec<(Scheme, Params)> {
+fn sweep() -> Vec<(Scheme, Params)> {
     let mut variants = Vec::new();
     for scheme in [Scheme::Grid, Scheme::Plop, Scheme::S2d, Scheme::S3d, Scheme::TwoLevel] {
         let tree = matches!(scheme, Scheme::S2d | Scheme::S3d | Scheme::TwoLevel);
@@ -192,7 +201,8 @@ pub fn sweep() -> Vec<(Scheme, Params)> {
 /// Formats rows as CSV. The first columns, up to prediction_ms, are stable for scripts.
 pub fn to_csv(rows: &[Row], poses: usize, seed: Option<u64>) -> String {
     let mut text = String::from(
-        "scheme,query,poses,seed,build_ms,bytes,access_us,needed,returned,selectivity,prediction_ms,cell_polygons,least_cell,split_axis,filter\n",
+        "scheme,query,poses,seed,build_ms,bytes,access_us,needed,returned,selectivity,prediction_ms,\
+         cell_polygons,least_cell,split_axis,filter\n",
     );
     let seed = seed.map(|s| s.to_string()).unwrap_or_default();
     for r in rows {

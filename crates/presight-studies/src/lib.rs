@@ -12,6 +12,7 @@ pub mod page;
 pub mod pick;
 #[cfg(feature = "report")]
 pub mod stability;
+pub mod statistics;
 #[cfg(feature = "report")]
 pub mod work_precision;
 pub mod worth;

@@ -23,11 +23,11 @@ use std::collections::BinaryHeap;
 /// Directions in which the sensor looks at each place.
 pub const HEADINGS: u32 = 8;
 
-/// Below this ratio of the information's determinant to the product of its diagonal, a direction is undetermined.
+/// Ratio of the information's determinant to the product of its diagonal below which a direction is undetermined.
 const OPEN: f64 = 1e-12;
 
-/// Bytes of views for which memory is checked at once.
-const A_LOT: u64 = 64 << 20;
+/// Minimum number of bytes of views in one check of the memory.
+const CHECKED: u64 = 64 << 20;
 
 /// Options for rating a layer.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,11 +52,12 @@ pub struct WorthPlace {
     pub at: DVec3,
     /// Column and row of the grid: along x and along y.
     pub cell: [u32; 2],
-    /// Smallest number of features visible in one of the views.
+    /// Minimum over the views of the number of visible features.
     pub features: usize,
-    /// Largest standard deviation of the position, metres. Infinite if a view leaves a direction undetermined.
+    /// Maximum over the views of the standard deviation of the position, metres. Infinite if a view leaves a direction
+    /// undetermined.
     pub position_sigma: f64,
-    /// Largest standard deviation of the heading in any view, radians.
+    /// Maximum over the views of the standard deviation of the heading, radians.
     pub heading_sigma: f64,
 }
 
@@ -75,7 +76,7 @@ pub struct Grid {
     pub places: Vec<([u32; 2], DVec3)>,
 }
 
-/// What a sensor at a place sees in each heading of the features that were `placed`.
+/// The views of the `placed` features by a sensor at a place, one for each heading.
 ///
 /// # Errors
 /// Those of [`Predictor::predict`].
@@ -96,14 +97,14 @@ pub fn views(
         let pose = Pose::from_xyz_rpy(at, 0.0, 0.0, yaw) * mount;
         let seen = predictor.predict(world, sensor, &SensorPose::new(pose), &request)?.features.unwrap_or_default();
         let vantage = Vantage { world, sensor, world_from_sensor: &pose };
-        let mut told: View = informations(&seen, &placed.features, &vantage)
+        let mut view: View = informations(&seen, &placed.features, &vantage)
             .into_iter()
             .map(|(i, m)| (seen.given_at(i) as u32, [m[0][0], m[0][1], m[0][5], m[1][1], m[1][5], m[5][5]]))
             .collect();
         // The list was collected in place, in an allocation five times as large.
-        told.shrink_to_fit();
-        watch(&told)?;
-        views.push(told);
+        view.shrink_to_fit();
+        watch(&view)?;
+        views.push(view);
     }
     Ok(views)
 }
@@ -112,9 +113,9 @@ impl WorthPlace {
     /// Rates a place by the worst of its views.
     pub fn of((cell, at): ([u32; 2], DVec3), views: &[View]) -> Self {
         let mut place = Self { at, cell, features: usize::MAX, position_sigma: 0.0, heading_sigma: 0.0 };
-        for told in views {
-            let [position, turn] = sigmas(&sum(told.iter().map(|(_, told)| told)));
-            place.features = place.features.min(told.len());
+        for view in views {
+            let [position, turn] = sigmas(&sum(view.iter().map(|(_, information)| information)));
+            place.features = place.features.min(view.len());
             place.position_sigma = place.position_sigma.max(position);
             place.heading_sigma = place.heading_sigma.max(turn);
         }
@@ -134,14 +135,14 @@ pub struct Worth {
     views: Vec<View>,
 }
 
-/// The features that suffice.
+/// The sufficient features of a layer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Thinned {
-    /// For each feature: true to keep it.
+    /// By feature: true if it is kept.
     pub keep: Vec<bool>,
-    /// Largest relative growth of the position's standard deviation.
+    /// Maximum relative growth of the standard deviation of the position.
     pub position_growth: f64,
-    /// Largest relative growth of the heading's standard deviation.
+    /// Maximum relative growth of the standard deviation of the heading.
     pub heading_growth: f64,
 }
 
@@ -166,11 +167,11 @@ impl Worth {
         let count = grid.places.len() * HEADINGS as usize;
         let (mut held, mut granted, mut done) = (0, 0, 0);
         for place in grid.places {
-            let views = views(world, sensor, placed, place.1, predictor, |told| {
+            let views = views(world, sensor, placed, place.1, predictor, |view| {
                 done += 1;
-                held += size_of_val(&told[..]) as u64;
+                held += size_of_val(&view[..]) as u64;
                 if held > granted {
-                    granted = 2 * held.max(A_LOT);
+                    granted = 2 * held.max(CHECKED);
                     memory::require(granted).map_err(|e| e.at(format!("view {done} of {count}")))?;
                 }
                 watch(done, count);
@@ -188,23 +189,24 @@ impl Worth {
     pub fn thinned(&self, growth: f64) -> Thinned {
         let mut of_feature: Vec<Vec<(u32, Planar)>> = vec![Vec::new(); self.given];
         for (number, view) in (0..).zip(&self.views) {
-            for (feature, told) in view {
+            for (feature, information) in view {
                 // A contour appears as several curves, which are kept or dropped together.
                 match of_feature[*feature as usize].last_mut().filter(|(before, _)| *before == number) {
-                    Some((_, sum)) => (0..6).for_each(|i| sum[i] += told[i]),
-                    None => of_feature[*feature as usize].push((number, *told)),
+                    Some((_, sum)) => (0..6).for_each(|i| sum[i] += information[i]),
+                    None => of_feature[*feature as usize].push((number, *information)),
                 }
             }
         }
-        let mut sums: Vec<Planar> = self.views.iter().map(|view| sum(view.iter().map(|(_, told)| told))).collect();
+        let mut sums: Vec<Planar> =
+            self.views.iter().map(|view| sum(view.iter().map(|(_, information)| information))).collect();
         let before: Vec<[f64; 2]> = sums.iter().map(sigmas).collect();
         let holds = |now: &Planar, before: &[f64; 2]| {
             let now = sigmas(now);
             (0..2).all(|i| before[i].is_infinite() || now[i] <= before[i] * (1.0 + growth))
         };
         let share = |feature: usize, sums: &[Planar]| {
-            let of_view = |(view, told): &(u32, Planar)| match inverse(&sums[*view as usize]) {
-                Some(c) if before[*view as usize][0].is_finite() => product_trace(&c, told),
+            let of_view = |(view, own): &(u32, Planar)| match inverse(&sums[*view as usize]) {
+                Some(c) if before[*view as usize][0].is_finite() => product_trace(&c, own),
                 _ => 0.0,
             };
             of_feature[feature].iter().map(of_view).fold(0.0, f64::max)
@@ -221,7 +223,7 @@ impl Worth {
                 continue;
             }
             let without =
-                |(view, told): &(u32, Planar)| -> Planar { std::array::from_fn(|i| sums[*view as usize][i] - told[i]) };
+                |(view, own): &(u32, Planar)| -> Planar { std::array::from_fn(|i| sums[*view as usize][i] - own[i]) };
             let fits = |of: &(u32, Planar)| holds(&without(of), &before[of.0 as usize]);
             if of_feature[feature].iter().all(fits) {
                 let rest: Vec<(u32, Planar)> = of_feature[feature].iter().map(|of| (of.0, without(of))).collect();
@@ -232,7 +234,7 @@ impl Worth {
         }
         let reached = |i: usize| {
             let of_view = |(view, before): (&View, &[f64; 2])| {
-                let now = sigmas(&sum(view.iter().filter(|(f, _)| keep[*f as usize]).map(|(_, told)| told)));
+                let now = sigmas(&sum(view.iter().filter(|(f, _)| keep[*f as usize]).map(|(_, own)| own)));
                 if before[i].is_finite() { now[i] / before[i] - 1.0 } else { 0.0 }
             };
             self.views.iter().zip(&before).map(of_view).fold(0.0, f64::max)
@@ -251,7 +253,7 @@ impl Worth {
         text
     }
 
-    /// A value for every place of the grid, row by row from the least y; NaN where no place is free.
+    /// A value for every place of the grid, row by row with rising y; NaN where no place is free.
     pub fn map(&self, value: impl Fn(&WorthPlace) -> f64) -> Vec<f64> {
         let mut map = vec![f64::NAN; self.size[0] as usize * self.size[1] as usize];
         for place in &self.places {
@@ -300,7 +302,7 @@ fn grid(world: &World, sensor: &Sensor, options: &WorthOptions) -> Result<Grid> 
     let (mut found, mut free) = (QueryResult::default(), Vec::new());
     for row in 0..size[1] {
         for column in 0..size[0] {
-            let at = |least: f64, n: u32| least + (f64::from(n) + 0.5) * spacing;
+            let at = |min: f64, n: u32| min + (f64::from(n) + 0.5) * spacing;
             let place = DVec3::new(at(bounds.min.x, column), at(bounds.min.y, row), height);
             if is_clear(world, place, &mut found) && stands(world, place, floor, &mut found) {
                 free.push(([column, row], place));
@@ -323,10 +325,10 @@ fn stands(world: &World, place: DVec3, floor: f64, found: &mut QueryResult) -> b
 }
 
 fn sum<'a>(all: impl Iterator<Item = &'a Planar>) -> Planar {
-    all.fold([0.0; 6], |sum, told| std::array::from_fn(|i| sum[i] + told[i]))
+    all.fold([0.0; 6], |sum, own| std::array::from_fn(|i| sum[i] + own[i]))
 }
 
-/// The covariance, in the same order; `None` if a direction is undetermined.
+/// The covariance for an information, in the same order of entries; `None` if a direction is undetermined.
 fn inverse(&[xx, xy, xh, yy, yh, hh]: &Planar) -> Option<Planar> {
     let cofactors = [
         yy * hh - yh * yh,
@@ -378,7 +380,7 @@ mod tests {
 
     /// Information 4, 1 and 100: standard deviations of 1/2, 1 and 1/10. Rotated by 45 degrees, the largest stays 1.
     #[test]
-    fn standard_deviations_are_those_worked_out() {
+    fn standard_deviations_match_hand_computed_values() {
         assert_eq!(sigmas(&[4.0, 0.0, 0.0, 1.0, 0.0, 100.0]), [1.0, 0.1]);
         let [position, heading] = sigmas(&[2.5, 1.5, 0.0, 2.5, 0.0, 100.0]);
         assert!((position - 1.0).abs() < 1e-12 && (heading - 0.1).abs() < 1e-12);
@@ -393,15 +395,15 @@ mod tests {
     /// Seven features give 1 each for y, which needs 7 / 1.1^2 = 5.8: one can go. x and heading have one feature each.
     #[test]
     fn features_go_while_the_rest_is_enough() {
-        let mut told = vec![(0, ALONG_X), (1, TURN)];
-        told.extend((2..9).map(|i| (i, ALONG_Y)));
-        let thinned = worth(vec![told.clone()], 10).thinned(0.1);
+        let mut view = vec![(0, ALONG_X), (1, TURN)];
+        view.extend((2..9).map(|i| (i, ALONG_Y)));
+        let thinned = worth(vec![view.clone()], 10).thinned(0.1);
         assert_eq!(thinned.keep, [true, true, false, true, true, true, true, true, true, false]);
         assert!((thinned.position_growth - ((7.0f64 / 6.0).sqrt() - 1.0)).abs() < 1e-12);
         assert_eq!(thinned.heading_growth, 0.0);
         // A view that shows only two of them needs both. A view with an undetermined direction needs none.
         let few = vec![(0, ALONG_X), (1, TURN), (2, ALONG_Y), (3, ALONG_Y)];
-        let thinned = worth(vec![told, few, vec![(9, ALONG_Y)]], 10).thinned(0.1);
+        let thinned = worth(vec![view, few, vec![(9, ALONG_Y)]], 10).thinned(0.1);
         assert_eq!(thinned.keep, [true, true, true, true, false, true, true, true, true, false]);
         // Two curves of one contour, out of 9 for y: without both, 7 are left, and sqrt(9 / 7) exceeds 1.1.
         let mut curves = vec![(0, ALONG_X), (1, TURN), (2, ALONG_Y), (2, ALONG_Y)];

@@ -81,12 +81,9 @@ impl Search<'_> {
         let within = NOISE_BOUND * parts.iter().map(|x| x * x).sum::<f64>().sqrt();
         let p = self.robot.world_from_robot.transform_point(point.point);
         let environment = self.world.environment();
-        found.clear();
-        self.world.index().query(environment, &Region::cuboid(&Aabb { min: p - within, max: p + within }), found);
         let class = Some(self.frame.sensor().spec().class.as_str());
-        found
-            .all()
-            .filter_map(|slot| environment.locate(slot))
+        self.world
+            .polygons_in(&Region::cuboid(&Aabb { min: p - within, max: p + within }), found)
             .filter(|(object, polygon)| !environment.is_absent(*object, *polygon, class))
             .any(|(object, polygon)| distance(&environment.objects()[object as usize], polygon, p) <= within)
     }

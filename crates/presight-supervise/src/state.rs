@@ -2,51 +2,29 @@
 
 use serde::Serialize;
 
-/// The reason why a cell is not seen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum UnseenReason {
-    /// Outside of the image, or beyond the sensor's reach.
-    OutOfView,
-    /// Behind a surface of the model.
-    BehindKnown,
-    /// Behind an unknown object.
-    BehindUnknown,
-    /// A missing return: dirt, a black or a shiny surface.
-    NoReturn,
-    /// The rays leave gaps as wide as the smallest intruder.
-    BetweenRays,
-    /// Not evaluated before the deadline.
-    Deadline,
-    /// The corridor is in the world, and the robot's pose is unknown.
-    NoPose,
+presight_model::words! {
+    /// The reason why a cell is not seen.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum UnseenReason {
+        /// Outside of the image, or beyond the sensor's reach.
+        OutOfView = "out_of_view",
+        /// Behind a surface of the model.
+        BehindKnown = "behind_known",
+        /// Behind an unknown object.
+        BehindUnknown = "behind_unknown",
+        /// A missing return: dirt, a black or a shiny surface.
+        NoReturn = "no_return",
+        /// The rays leave gaps as wide as the smallest intruder.
+        BetweenRays = "between_rays",
+        /// Not evaluated before the deadline.
+        Deadline = "deadline",
+        /// The corridor is in the world, and the robot's pose is unknown.
+        NoPose = "no_pose",
+    }
 }
 
 impl UnseenReason {
-    /// All reasons, in the order of [`CellCounts::unseen`](super::CellCounts::unseen).
-    pub const ALL: [Self; 7] = [
-        Self::OutOfView,
-        Self::BehindKnown,
-        Self::BehindUnknown,
-        Self::NoReturn,
-        Self::BetweenRays,
-        Self::Deadline,
-        Self::NoPose,
-    ];
-
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::OutOfView => "out_of_view",
-            Self::BehindKnown => "behind_known",
-            Self::BehindUnknown => "behind_unknown",
-            Self::NoReturn => "no_return",
-            Self::BetweenRays => "between_rays",
-            Self::Deadline => "deadline",
-            Self::NoPose => "no_pose",
-        }
-    }
-
     /// The letter of a cell in files.
     pub fn letter(self) -> char {
         ['o', 'b', 'u', 'n', 'r', 'd', 'p'][self as usize]

@@ -1,9 +1,9 @@
-//! Logs of a sensor on a robot, made by the ray caster of another library: noise, drop-outs, mixed pixels, people who walk
-//! by, scans that take time, and odometry that slips. Nothing of it comes from presight's engines or its simulator.
+//! Logs of a sensor on a robot, made by the ray caster of another library: noise, drop-outs, mixed pixels, people who
+//! walk by, scans that take time, and odometry that slips. It uses neither presight's engines nor its simulator.
 
 use super::Random;
 use super::oracle::Oracle;
-use super::way::Way;
+use super::route::Route;
 use glam::{DQuat, DVec3};
 use presight_model::environment::Environment;
 use presight_model::geometry::Pose;
@@ -21,18 +21,18 @@ const WALK: (f64, f64) = (4.0, 1.0);
 /// A person.
 #[derive(Clone, Copy, Debug)]
 enum Person {
-    /// To and fro.
+    /// Walks to and fro.
     Walks { from: DVec3, direction: DVec3, ahead: f64 },
-    /// Always so far before the robot, metres.
+    /// Stays at this distance ahead of the robot, metres.
     Before(f64),
 }
 
 /// Errors of odometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slip {
-    /// Measured over true: the way, and the turn.
+    /// Ratios of the measured to the true distance and to the true turn.
     pub scale: [f64; 2],
-    /// Deviation as a share of the way, and of the turn.
+    /// Standard deviations, as shares of the distance and of the turn.
     pub noise: [f64; 2],
 }
 
@@ -79,12 +79,12 @@ impl Caster {
         }
     }
 
-    /// Adds people who walk to and fro 1 to 2.5 m from the way.
+    /// Adds people who walk to and fro 1 to 2.5 m from the route.
     #[must_use]
-    pub fn with_walkers(mut self, count: usize, way: &Way, seed: u64) -> Self {
+    pub fn with_walkers(mut self, count: usize, route: &Route, seed: u64) -> Self {
         let mut random = Random(seed ^ 0x77a1);
         for _ in 0..count {
-            let near = way.at(random.uniform(0.0, way.duration())).translation;
+            let near = route.at(random.uniform(0.0, route.duration())).translation;
             let (heading, aside) = (random.uniform(0.0, TAU), random.uniform(1.0, 2.5));
             let direction = DVec3::new(heading.cos(), heading.sin(), 0.0);
             let from = near + aside * DVec3::new(-direction.y, direction.x, 0.0) - 0.5 * WALK.0 * direction;
@@ -100,8 +100,8 @@ impl Caster {
         self
     }
 
-    /// The frame whose first column is measured at `time`, with the odometry since `before`. `pose` gives the robot's true
-    /// pose at each time, seconds.
+    /// The frame whose first column is measured at `time`, with the odometry since `before`. `pose` gives the robot's
+    /// true pose at each time, seconds.
     pub fn frame(&mut self, pose: &dyn Fn(f64) -> Pose, time: f64, before: Option<f64>) -> Frame {
         let jitter = self.random.normal(self.jitter);
         let ranges = self.measured(pose, time);
@@ -177,10 +177,10 @@ impl Caster {
 
     fn odometry(&mut self, truth: &Pose, slip: Slip) -> Motion {
         let (axis, angle) = truth.rotation.to_axis_angle();
-        let way = slip.scale[0] + self.random.normal(slip.noise[0]);
+        let distance = slip.scale[0] + self.random.normal(slip.noise[0]);
         let turn = slip.scale[1] + self.random.normal(slip.noise[1]);
         let measured =
-            Pose { translation: way * truth.translation, rotation: DQuat::from_axis_angle(axis, turn * angle) };
+            Pose { translation: distance * truth.translation, rotation: DQuat::from_axis_angle(axis, turn * angle) };
         Motion::of_odometry(measured, &OdometryNoise::default())
     }
 }

@@ -1,23 +1,23 @@
-//! Rooms that are no longer as their map has them: a seeded share of the furniture is gone, another has been moved.
+//! Rooms that differ from their map: a seeded share of the furniture is gone, another has been moved.
 
 use super::Random;
-use super::way::Way;
+use super::route::Route;
 use glam::{DQuat, DVec3};
 use presight_model::environment::{Environment, Object};
 use presight_model::geometry::Pose;
 use std::f64::consts::PI;
 
-/// Longest side of furniture on the floor plan, metres: longer things are walls, floors or roofs.
+/// Maximum side of furniture on the floor plan, metres. Longer objects are walls, floors or roofs.
 const LONGEST: f64 = 4.5;
 /// Furniture reaches into these heights above the floor at z = 0, metres, where robots meet it.
 const HEIGHTS: (f64, f64) = (0.1, 1.8);
-/// Least and greatest distance by which furniture is moved, metres.
+/// Minimum and maximum distance by which furniture is moved, metres.
 const MOVED: (f64, f64) = (0.3, 1.5);
-/// Greatest turn of moved furniture, radians.
+/// Maximum turn of moved furniture, radians.
 const TURNED: f64 = 0.25 * PI;
-/// Distance of moved furniture from the robot's way, metres.
+/// Minimum distance of moved furniture from the robot's route, metres.
 const CLEAR: f64 = 0.5;
-/// Places that are tried for each piece of moved furniture.
+/// Maximum number of random poses for each piece of moved furniture.
 const TRIES: usize = 30;
 
 /// The shares of the furniture that change, 0 to 1 together.
@@ -29,10 +29,10 @@ pub struct Shares {
     pub moved: f64,
 }
 
-/// How much was changed.
+/// Numbers of changes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Objects that count as furniture.
+    /// Furniture in the map.
     pub furniture: usize,
     /// Deleted.
     pub gone: usize,
@@ -40,7 +40,7 @@ pub struct Counts {
     pub moved: usize,
 }
 
-/// True if an object counts as furniture: at most 4.5 m long, and in the way of a robot on the floor.
+/// True if an object is furniture: at most 4.5 m long, and an obstacle to a robot on the floor.
 pub fn is_furniture(object: &Object) -> bool {
     if object.is_deleted() {
         return false;
@@ -50,9 +50,9 @@ pub fn is_furniture(object: &Object) -> bool {
     size.x.max(size.y) <= LONGEST && bounds.max.z >= HEIGHTS.0 && bounds.min.z <= HEIGHTS.1
 }
 
-/// The environment with a share of its furniture gone and another share moved; nothing moves to where the robot drives.
-/// The same seed gives the same changes.
-pub fn changed(map: &Environment, shares: Shares, way: &Way, seed: u64) -> (Environment, Counts) {
+/// The environment with a share of its furniture gone and another share moved; none moves onto the robot's route. Equal
+/// seeds give equal changes.
+pub fn changed(map: &Environment, shares: Shares, route: &Route, seed: u64) -> (Environment, Counts) {
     let mut random = Random(seed);
     let mut names: Vec<String> = map.objects().iter().filter(|o| is_furniture(o)).map(|o| o.name.clone()).collect();
     // Fisher and Yates: every order is as likely as any other.
@@ -66,7 +66,7 @@ pub fn changed(map: &Environment, shares: Shares, way: &Way, seed: u64) -> (Envi
     }
     for name in names.iter().skip(gone).take(moved) {
         let object = map.object(name).expect("the object exists");
-        if let Some(pose) = (0..TRIES).map(|_| shoved(object, &mut random)).find(|pose| is_clear(object, pose, way)) {
+        if let Some(pose) = (0..TRIES).map(|_| shoved(object, &mut random)).find(|pose| is_clear(object, pose, route)) {
             real.set_pose(name, pose).expect("a sound pose");
             counts.moved += 1;
         }
@@ -85,12 +85,12 @@ fn shoved(object: &Object, random: &mut Random) -> Pose {
     Pose { translation: to + turn * (pose.translation - middle), rotation: (turn * pose.rotation).normalize() }
 }
 
-/// True if the circle around the moved object stays off the way.
-fn is_clear(object: &Object, pose: &Pose, way: &Way) -> bool {
+/// True if the circle around the moved object stays clear of the route.
+fn is_clear(object: &Object, pose: &Pose, route: &Route) -> bool {
     let bounds = object.world_bounds();
     let (half, middle) = (0.5 * (bounds.max - bounds.min), 0.5 * (bounds.min + bounds.max));
     let motion = *pose * object.world_from_object.inverse();
     let to = motion.transform_point(middle);
     let reach = half.x.hypot(half.y) + CLEAR;
-    way.places().all(|[x, y]| (to.x - x).hypot(to.y - y) > reach)
+    route.places().all(|[x, y]| (to.x - x).hypot(to.y - y) > reach)
 }

@@ -22,7 +22,7 @@ fn used(plan: &FramePlan) -> Images {
 /// A function that renders a plan with an engine.
 pub type Renderer = Box<dyn FnMut(&FramePlan) -> Images>;
 
-/// Every available engine, with two threads, and the CPU engine both ways: kind, precision and renderer.
+/// Every available engine, with two threads, and the CPU engine with both strategies: kind, precision and renderer.
 pub fn all() -> Vec<(EngineKind, Precision, Renderer)> {
     let engines = EngineKind::ALL.into_iter().filter_map(|kind| Some((kind, open(kind, 2)?)));
     let by_tiles = (EngineKind::Cpu, Precision::F64, cpu_by_tiles(2));

@@ -216,7 +216,13 @@ fn length(least: f64, most: f64) -> impl Strategy<Value = f64> {
 fn direction() -> impl Strategy<Value = [f64; 3]> {
     prop_oneof![
         2 => [-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64],
-        1 => prop::sample::select(vec![[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0], [0.0, 1.0, 1.0]]),
+        1 => prop::sample::select(vec![
+            [1.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, 0.0, 1.0],
+            [1.0, 1.0, 0.0],
+            [0.0, 1.0, 1.0],
+        ]),
     ]
 }
 

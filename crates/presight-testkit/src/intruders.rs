@@ -135,7 +135,7 @@ pub fn believed(truth: &Pose, [metres, radians]: [f64; 2], random: &mut Random) 
     PoseEstimate::new(RobotPose::new(pose), PoseCovariance::from_sigmas([t, t, t, r, r, r]))
 }
 
-/// What rays of the test kit's caster say of an intruder.
+/// The rays of the test kit's caster that hit an intruder.
 pub mod truth {
     use super::INTRUDER;
     use crate::oracle::Oracle;
@@ -164,8 +164,8 @@ pub mod truth {
         Alone { oracle: Oracle::new(&only, from).expect("triangles"), from }
     }
 
-    /// True ranges of the pixels that see the intruder in the corridor (robot's frame) and measured it, neither lost nor
-    /// mixed with their background, metres.
+    /// True ranges of the pixels that see the intruder in the corridor (robot's frame) and measured it, neither lost
+    /// nor mixed with their background, metres.
     pub fn pixels(world: &World, alone: &Alone, frame: &Frame, robot: &Pose, corridor: &Corridor) -> Vec<f64> {
         let sensor = frame.sensor();
         let world_from_sensor = *robot * sensor.spec().mount;
@@ -235,7 +235,7 @@ pub mod truth {
         }
     }
 
-    /// Where a ray enters and leaves a box.
+    /// The distances at which a ray enters and leaves a box.
     fn through(eye: DVec3, ray: DVec3, min: DVec3, max: DVec3) -> Option<(f64, f64)> {
         let (a, b) = ((min - eye) / ray, (max - eye) / ray);
         let (near, far) = (a.min(b).max_element(), a.max(b).min_element());

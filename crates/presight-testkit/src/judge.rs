@@ -1,4 +1,4 @@
-//! How well an environment predicts measurements, by dense rays of the oracle.
+//! The accuracy with which an environment predicts measurements, by dense rays of the oracle.
 
 use super::oracle::Oracle;
 use glam::DVec3;
@@ -26,17 +26,18 @@ pub fn frames(log: &Path, stride: u32) -> Vec<Placed> {
 pub struct Judged {
     /// Median distance, metres.
     pub median: f64,
-    /// Percent of all measured pixels that are predicted right.
+    /// Percentage of all measured pixels with a right prediction.
     pub within: f64,
-    /// Percent for which something is predicted.
+    /// Percentage with a prediction.
     pub covered: f64,
-    /// Percent that are predicted too near.
+    /// Percentage with a prediction that is too near.
     pub nearer: f64,
-    /// Percent of the covered pixels that are predicted right.
+    /// Percentage of the covered pixels with a right prediction.
     pub within_of_hits: f64,
 }
 
-/// Distances between prediction and measurement: `near` counts as right, `far` before the measurement as wrong, metres.
+/// Compares predictions with measurements. A prediction within `near` of the measurement is right, one more than `far`
+/// before it is too near; both in metres.
 pub fn judge(environment: &Environment, frames: &[Placed], near: f64, far: f64) -> Judged {
     let oracle = Oracle::new(environment, frames[0].1.translation).expect("polygons");
     let (mut off, mut all, mut nearer) = (Vec::new(), 0.0, 0.0);
@@ -65,10 +66,10 @@ pub fn judge(environment: &Environment, frames: &[Placed], near: f64, far: f64) 
     }
 }
 
-/// True if a surface lies on the way between two points.
+/// True if a surface lies between two points.
 pub fn is_blocked(environment: &Environment, from: DVec3, to: DVec3) -> bool {
-    let way = to - from;
-    Oracle::new(environment, from).is_some_and(|o| o.hides(from, way.normalize(), way.length(), &[]))
+    let ray = to - from;
+    Oracle::new(environment, from).is_some_and(|o| o.hides(from, ray.normalize(), ray.length(), &[]))
 }
 
 /// Number of frames with a ray that ended within `near` metres of a place.

@@ -15,10 +15,10 @@ pub mod intruders;
 pub mod judge;
 pub mod oracle;
 pub mod pictures;
+pub mod route;
 pub mod scenes;
 pub mod skip;
 pub mod tags;
-pub mod way;
 
 pub use pictures::compare_or_show;
 pub use presight_model::environment::{CUBOID_FACES, cuboid_corners};

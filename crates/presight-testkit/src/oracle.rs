@@ -97,8 +97,8 @@ impl Oracle {
         panic!("64 polygons of one feature on one ray");
     }
 
-    /// Metres from a point to the nearest triangle along a unit direction, both in the world, and the cosine of incidence;
-    /// `None` if there is none.
+    /// Metres from a point to the nearest triangle along a unit direction, both in the world, and the cosine of
+    /// incidence; `None` if there is none.
     pub fn hit(&self, from: DVec3, direction: DVec3) -> Option<(f64, f64)> {
         self.met(from, direction).map(|(range, cosine, _)| (range, cosine))
     }

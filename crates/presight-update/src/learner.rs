@@ -4,7 +4,7 @@
 use crate::change::proposals;
 use crate::change::refine::{self, RefinedPose};
 use crate::decide::classify;
-use crate::decide::findings::{Finding, Findings, PlannedView};
+use crate::decide::findings::{Finding, PlannedView, SiteFindings};
 use crate::decide::planner;
 use crate::decide::policy::Policy;
 use crate::decide::recognize::{self, Recognizer};
@@ -207,7 +207,7 @@ impl Learner {
     }
 
     /// The findings of all drives so far on the world that their frames were compared with. More drives may follow.
-    pub fn findings(&mut self, world: &World) -> Findings {
+    pub fn findings(&mut self, world: &World) -> SiteFindings {
         self.knowledge.prepare(world, &self.knowledge.newest_class());
         classify::findings(&self.knowledge, world)
     }
@@ -230,7 +230,7 @@ impl Learner {
     pub fn recognize(
         &mut self,
         world: &World,
-        findings: &mut Findings,
+        findings: &mut SiteFindings,
         library: &Library,
         recognizer: Option<&mut dyn Recognizer>,
     ) -> Result<()> {
@@ -241,7 +241,8 @@ impl Learner {
     /// The poses of confirmed objects, by Bayes from what the model states: the covariances of the sensor's layer, or
     /// the deviation of surfaces. Empty for a model that states neither, because it is exact. An object that sensors of
     /// several classes saw follows the class with the most views of it.
-    pub fn refined(&self, environment: &Environment, findings: &Findings) -> Vec<RefinedPose> {
+    #[doc(hidden)]
+    pub fn refined(&self, environment: &Environment, findings: &SiteFindings) -> Vec<RefinedPose> {
         refine::refined(&self.knowledge, environment, findings)
     }
 
@@ -255,7 +256,7 @@ impl Learner {
     /// Errors of [`ProposedChange::new`].
     pub fn changes(
         &self,
-        findings: &Findings,
+        findings: &SiteFindings,
         world: &World,
         (base, utc): (&str, f64),
         policy: &Policy,

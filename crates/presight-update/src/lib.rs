@@ -13,7 +13,7 @@ mod options;
 pub use change::pending::{Applied, PendingChanges};
 pub use change::refine::RefinedPose;
 pub use decide::boxes::UprightBox;
-pub use decide::findings::{BestView, DoubtfulObject, Finding, FindingKind, Findings, PlannedView};
+pub use decide::findings::{BestView, DoubtfulObject, Finding, FindingKind, PlannedView, SiteFindings};
 pub use decide::policy::{Action, Policy};
 pub use decide::program::ProgramRecognizer;
 pub use decide::recognize::{Proposal, Recognizer};

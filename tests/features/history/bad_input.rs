@@ -4,7 +4,7 @@ use super::simulator::Random;
 use cpu_time::ThreadTime;
 use glam::{DMat2, DVec2};
 use presight_localize::history::{End, ImageExtent, Seed, Tracker, TrackerOptions};
-use presight_localize::matching::{Detection, ExpectedProperties, Rejection, Shape};
+use presight_localize::matching::{Detection, ExpectedProperties, MAX_CANDIDATES, Rejection, Shape};
 use presight_model::error::ErrorKind;
 
 fn seed(id: u32, at: DVec2) -> Seed {
@@ -121,7 +121,8 @@ fn thousands_of_features_in_one_place_are_answered_in_time() {
     for k in 0..2 {
         let found: Vec<Detection> = (0..2000).map(|_| Detection::point(place + random.normal(), 0.5)).collect();
         let matches = tracker.correct(0.05 * f64::from(k), &found).unwrap();
-        assert!(matches.matched.len() > 1900, "{k}: {}", matches.matched.len());
+        // All features have the same candidates at first.
+        assert!(matches.matched.len() >= MAX_CANDIDATES, "{k}: {}", matches.matched.len());
     }
     assert!(start.elapsed().as_secs_f64() < 20.0, "{:?}", start.elapsed());
 }

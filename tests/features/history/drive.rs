@@ -95,7 +95,7 @@ fn drive_once(seed: u64, disturbance: Disturbance, tally: &mut Tally) {
 
 #[test]
 fn a_drive_with_misses_clutter_and_shaking() {
-    let tally = drive(Disturbance::default());
+    let tally = drive(Disturbance { clutter: 1, ..Disturbance::default() });
     tally.print("drive");
     assert!(tally.wrong < 0.01 * tally.matched, "{tally:?}");
     assert!(tally.held >= 0.98 * tally.windows, "{tally:?}");

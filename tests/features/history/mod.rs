@@ -15,6 +15,7 @@ use presight_localize::matching::Matcher;
 const FEWEST: usize = 60;
 
 fn options() -> TrackerOptions {
-    let matcher = Matcher::default().with_detection_probability(0.8);
+    // One false detection in a window of some 50 pixels.
+    let matcher = Matcher::default().with_detection_probability(0.8).with_clutter_density(0.02);
     TrackerOptions::new(ImageExtent::new(simulator::WIDTH, simulator::HEIGHT)).with_matcher(matcher)
 }

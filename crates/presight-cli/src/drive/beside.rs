@@ -9,7 +9,7 @@ pub(super) struct LogBeside {
     pub next: Option<Observation>,
 }
 
-/// Largest difference of the stamps of frames that count as taken at the same time, seconds.
+/// Maximum difference between the stamps of simultaneous frames, seconds.
 const SAME_TIME: f64 = 0.01;
 
 impl LogBeside {

@@ -2,9 +2,9 @@
 
 use super::Drive;
 use presight::features::{FeatureShape, PlacedFeatures};
-use presight::localize::{FeatureClass, Findings, is_sought};
+use presight::localize::{FeatureClass, FeatureFindings, is_sought};
 use presight::measured::Frame;
-use presight::sensor::Geometry;
+use presight::sensor::{Geometry, Scanner};
 use presight::{Error, Result, Scene, Sensor};
 
 /// Feature counts of one frame.
@@ -18,7 +18,7 @@ pub struct FeatureCounts {
 
 impl FeatureCounts {
     /// Sums over all images in which features were searched; `None` without one.
-    pub fn of(findings: &[Findings]) -> Option<Self> {
+    pub fn of(findings: &[FeatureFindings]) -> Option<Self> {
         let count = |name: &str| findings.iter().map(|f| f.count(name)).sum();
         let only_found = findings.iter().map(|f| f.only_found.len()).sum();
         (!findings.is_empty()).then(|| Self { classes: FeatureClass::NAMES.map(count), only_found })
@@ -53,7 +53,8 @@ pub(super) fn not_sought_in_scans(placed: &PlacedFeatures, first: &Frame) -> Opt
     let is_reflector = |shape: &FeatureShape| matches!(shape, FeatureShape::Reflector { .. });
     let reflectors = placed.features.iter().filter(|p| is_reflector(&p.feature.shape)).count();
     let others = placed.features.len() - reflectors;
-    let row = matches!(&first.sensor().spec().geometry, Geometry::Scanner(s) if s.elevation.len() == 1 && s.beam_height_deg.is_none());
+    let is_row = |s: &Scanner| s.elevation.len() == 1 && s.beam_height_deg.is_none();
+    let row = matches!(&first.sensor().spec().geometry, Geometry::Scanner(s) if is_row(s));
     if reflectors == 0 {
         return Some("the layer has no reflectors, so scans are not searched for its features".to_owned());
     }

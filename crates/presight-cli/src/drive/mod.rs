@@ -1,4 +1,5 @@
-//! A drive: the log, map and start that `localize`, `replay`, `supervise` and `update` share, and the localizer that follows it.
+//! A drive: the log, map and start that `localize`, `replay`, `supervise` and `update` share, and the localizer that
+//! follows it.
 
 mod beside;
 mod features;
@@ -66,16 +67,17 @@ pub struct Drive {
     bag: BagArgs,
 
     /// Options of the estimate: of a level scanner of one row on a level floor, of a sensor in any pose, or of scans of
-    /// points all round [default: by the sensor]
+    /// full panoramas of points [default: by the sensor]
     #[arg(long, value_name = "NAME", value_parser = ["indoor_scanner", "depth_camera", "lidar_3d"])]
     preset: Option<String>,
 
-    /// Standard deviation of the model's surfaces, independent for each surface, metres [default: learnt by `localize` from
-    /// the frames that it tracks; else 0.03 for a scanner of one row, 0.1 for scans of points, otherwise 0]
+    /// Standard deviation of the model's surfaces, independent for each surface, metres [default: learnt by `localize`
+    /// from the frames that it tracks; else 0.03 for a scanner of one row, 0.1 for scans of points, otherwise 0]
     #[arg(long, value_name = "METRES")]
     pub model_sigma: Option<f64>,
 
-    /// Learn that deviation unless it is stated. Updates do not, so that changes do not depend on the order of the frames.
+    /// Learn that deviation if no flag states it. Updates do not, so that changes do not depend on the order of the
+    /// frames.
     #[arg(skip)]
     learns_sigma: bool,
 
@@ -103,7 +105,7 @@ pub struct Drive {
     #[arg(long, value_name = "METRES", default_value_t = 0.0, allow_hyphen_values = true)]
     floor: f64,
 
-    /// Largest height in a search of the whole map, metres, if the height is not known [default: --floor]
+    /// Maximum height in a search of the whole map, metres, if the height is unknown [default: --floor]
     #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
     floor_to: Option<f64>,
 
@@ -127,8 +129,8 @@ pub struct Drive {
     )]
     lean: Vec<f64>,
 
-    /// Starts that one frame draws around the last pose of a lost sensor that has no search of the whole map; the next frame draws
-    /// others. Each costs about 5 ms
+    /// Starts that one frame draws around the last pose of a lost sensor that has no search of the whole map; the next
+    /// frame draws others. Each costs about 5 ms
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=1000))]
     search_starts: u16,
 
@@ -178,7 +180,8 @@ pub struct Followed {
 
 impl Drive {
     /// Tracks the robot through the log. Calls `visit` with each frame and its step. Before the first call it checks
-    /// that `files` would not overwrite an input. A run that is `resumed` begins behind the frames that it has. Prints what the readings were taken as, also after an error.
+    /// that `files` would not overwrite an input. A run that is `resumed` begins behind the frames that it has. Prints
+    /// what the readings were taken as, also after an error.
     ///
     /// # Errors
     /// Errors from reading the log, map and sensor, from the estimator, and from `visit`.
@@ -248,12 +251,12 @@ impl Drive {
         open_scene_without(&self.map, &import, IndexKind::default(), &self.exclude)
     }
 
-    /// The same drive, with the deviation of the model learnt unless it is stated.
+    /// This drive, with a deviation of the model that is learnt if no flag states it.
     pub fn learning(&self) -> Self {
         Self { learns_sigma: true, ..self.clone() }
     }
 
-    /// The same drive options with another log.
+    /// These options with another log.
     #[cfg(feature = "store")]
     pub fn with_log(&self, log: &Path) -> Self {
         Self { log: log.to_owned(), ..self.clone() }
@@ -281,15 +284,9 @@ impl Drive {
         let mut grey = self.grey(&measured)?;
         let mut logs_beside = self.logs_beside()?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
-        let mut estimator = Estimator::new(predictor, options);
-        let is_looked_in = first.frame.grey().is_some() || !first.frame.sensor().is_camera();
-        let looked_in = grey.as_ref().map(DepthFolder::sensor).or(is_looked_in.then(|| first.frame.sensor()));
-        if let Some(placed) = looked_in.map(|sensor| self.placed(&scene, sensor)).transpose()?.flatten() {
-            let of_scans = grey.is_none() && first.frame.grey().is_none();
-            print::notices(&if of_scans { not_sought_in_scans(&placed, &first.frame) } else { not_sought(&placed) });
-            estimator = estimator.with_features(placed);
-        }
-        // A run that ended without a pose has no start left; one with a pose has moved since, and is as unsure as a start.
+        let estimator = Estimator::new(predictor, options);
+        let estimator = self.with_features(estimator, &scene, grey.as_ref(), &first.frame)?;
+        // A resumed run starts at its last pose, if it had one, with the uncertainty of a start.
         let start_now = if let Some(run) = resumed { run.pose } else { start };
         let progress = super::bar::count("frames");
         let mut localizer = self.localizer(estimator, start_now, &scene, first.frame.sensor(), &progress)?;
@@ -316,7 +313,7 @@ impl Drive {
             }
             progress.set_message(match (step.phase, may_search || start_now.is_none()) {
                 (Phase::Lost | Phase::Unknown, false) if options.freedom == Freedom::Full => {
-                    "lost: looking for the robot around its last pose"
+                    "lost: searching around the last pose"
                 }
                 (phase, _) => phase.name(),
             });
@@ -332,6 +329,24 @@ impl Drive {
         progress.finish_and_clear();
         print::notices(&localizer.warnings());
         Ok(followed)
+    }
+
+    /// The estimator with the features of the map that are sought in the frames, which are images or scans.
+    fn with_features(
+        &self,
+        estimator: Estimator,
+        scene: &Scene,
+        grey: Option<&DepthFolder>,
+        first: &Frame,
+    ) -> Result<Estimator> {
+        let shows_features = first.grey().is_some() || !first.sensor().is_camera();
+        let sensor = grey.map(DepthFolder::sensor).or(shows_features.then(|| first.sensor()));
+        let Some(placed) = sensor.map(|sensor| self.placed(scene, sensor)).transpose()?.flatten() else {
+            return Ok(estimator);
+        };
+        let of_scans = grey.is_none() && first.grey().is_none();
+        print::notices(&if of_scans { not_sought_in_scans(&placed, first) } else { not_sought(&placed) });
+        Ok(estimator.with_features(placed))
     }
 
     /// Opens the logs of the robot's other sensors.

@@ -1,12 +1,10 @@
-//! Where a drive starts and how it is estimated: the flags, checked, as the library's options.
+//! The start of a drive and the options of its estimates: flags are checked and become options of the library.
 
 use super::{Drive, watching};
 use crate::pose::parse_pose;
 use indicatif::ProgressBar;
 use presight::files::Observation;
-use presight::localize::{
-    ErrorRates, EstimateOptions, Estimator, LocalizeOptions, Localizer, Preset, Search, SearchOptions,
-};
+use presight::localize::{ErrorRates, EstimateOptions, Estimator, LocalizeOptions, Localizer, Search, SearchOptions};
 use presight::measured::OdometryNoise;
 use presight::{Error, Pose, PoseEstimate, Result, RobotPose, Scene, Sensor};
 
@@ -115,8 +113,8 @@ impl Drive {
 
     /// Estimator options by --preset, or by the sensor.
     pub fn options(&self, sensor: &Sensor) -> EstimateOptions {
-        let preset = Preset::ALL.into_iter().find(|preset| self.preset.as_deref() == Some(preset.name()));
-        let options = preset.unwrap_or(Preset::of(sensor)).options().with_learns_sigma(self.learns_sigma);
-        options.with_stated_sigma(self.model_sigma)
+        let preset = self.preset.as_deref().and_then(EstimateOptions::preset);
+        let options = preset.unwrap_or_else(|| EstimateOptions::of(sensor));
+        options.with_learns_sigma(self.learns_sigma).with_stated_sigma(self.model_sigma)
     }
 }

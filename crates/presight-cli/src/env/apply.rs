@@ -11,7 +11,8 @@ use std::path::{Path, PathBuf};
 /// The maximum number of lines committed together.
 const BATCH: usize = 100;
 
-const EXAMPLES: &str = r#"One change per line; poses are [x, y, z, roll_deg, pitch_deg, yaw_deg] or [x, y, z, qx, qy, qz, qw].
+const EXAMPLES: &str = r#"One change per line.
+Poses are [x, y, z, roll_deg, pitch_deg, yaw_deg] or [x, y, z, qx, qy, qz, qw].
 PATH names an object; "move", "set_pose" and "delete_object" also accept the path of a group:
   {"op":"move","object":PATH,"pose":[..]}      everything below PATH moves with it
   {"op":"set_pose","object":PATH,"pose":[..]}  an object moves alone
@@ -40,7 +41,7 @@ and has no effect; another change with the same id is an error."#;
 /// Apply changes, one JSON object per line; prints `ack K` once line K is safely on disk
 ///
 /// Lines that have already arrived are committed together, at most 100 at a time, so a program that waits for each
-/// acknowledgement gets it at once. Stops at the first invalid line; those before it are still acknowledged.
+/// acknowledgement gets it immediately. Stops at the first invalid line; lines before it are still acknowledged.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -66,7 +67,7 @@ pub fn run(args: &Args) -> Result<()> {
     let (input, folder): (Box<dyn Read>, &Path) = if from_stdin {
         (Box::new(std::io::stdin()), Path::new("."))
     } else {
-        (Box::new(tools::open_any(&args.changes, &args.changes)?), args.changes.parent().unwrap_or(Path::new(".")))
+        (Box::new(tools::open_stream(&args.changes, &args.changes)?), args.changes.parent().unwrap_or(Path::new(".")))
     };
     let mut store = open_store(&args.store)?;
     store.begin_row();

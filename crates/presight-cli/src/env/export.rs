@@ -58,7 +58,7 @@ pub fn run(args: &Args) -> Result<()> {
         })?;
     }
     refuse_others(folder, &prefix, &files)?;
-    let lost = features::lost(&environment).map_err(|e| e.in_file(&args.store))?;
+    let lost = features::lost_features(&environment).map_err(|e| e.in_file(&args.store))?;
     write_glb(&scene, &environment).map_err(|e| e.in_file(&args.store))?;
     for (path, own) in &files {
         let lost: Vec<u32> = lost.iter().filter(|(class, _)| *class == own.class).map(|(_, id)| *id).collect();

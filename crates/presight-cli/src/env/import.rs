@@ -17,10 +17,10 @@ const EXAMPLES: &str = "Examples:
 /// Merge a scene or a layer file (.json), as one change
 ///
 /// Objects that already exist unchanged are kept. An object with the same path but different content is an error,
-/// unless --replace or --mirror is given; these list the objects added, changed and left over. Where a name is repeated in
-/// the file (chair, chair#2, ..), objects are paired by shape, then by the least sum of distances. Features of the file
-/// replace those with the same id; `"remove": true` deletes one. Features must lie on polygons, unless a layer file
-/// marks them `"surface": "lost"`, or they have already lost their surface in the imported store.
+/// unless --replace or --mirror is given; these list the objects added, changed and left over. Where a name is repeated
+/// in the file (chair, chair#2, ..), objects are paired by shape, then by the least sum of distances. Features of the
+/// file replace those with the same id; `"remove": true` deletes one. Features must lie on polygons, unless a layer
+/// file marks them `"surface": "lost"`, or they have already lost their surface in the imported store.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -74,13 +74,13 @@ pub fn run(args: &Args) -> Result<()> {
         }
     };
     if let Some(scene) = &scene {
-        tools::require(tools::of_writing(scene.objects().iter().map(|o| o.mesh.polygon_count() as u64)))?;
+        tools::require_memory(tools::memory_of_writing(scene.objects().iter().map(|o| o.mesh.polygon_count() as u64)))?;
     }
     let mut store = open_store(path)?;
     // Features that have already lost their surface in the imported file or store are accepted.
     let lost = match (&layer, &scene) {
         (Some(file), _) => file.lost.iter().map(|id| (file.layer.class.clone(), *id)).collect(),
-        (None, Some(scene)) => features::lost(scene).map_err(|e| e.in_file(file))?,
+        (None, Some(scene)) => features::lost_features(scene).map_err(|e| e.in_file(file))?,
         (None, None) => Vec::new(),
     };
     let (mut changes, mut notes) = (Vec::new(), Vec::new());
@@ -154,7 +154,7 @@ fn ranges(ids: &[u32]) -> String {
     runs.collect::<Vec<_>>().join(", ")
 }
 
-/// A phrase for one thing or for several.
+/// A phrase in the singular or the plural.
 fn singular(what: &str, count: usize) -> String {
     match count {
         1 => what
@@ -168,9 +168,9 @@ fn singular(what: &str, count: usize) -> String {
 
 /// The first of some names, and the number of the others.
 fn listed(names: impl ExactSizeIterator<Item = String>) -> String {
-    const MOST: usize = 20;
-    let more = names.len().saturating_sub(MOST);
-    let names: Vec<String> = names.take(MOST).collect();
+    const LISTED: usize = 20;
+    let more = names.len().saturating_sub(LISTED);
+    let names: Vec<String> = names.take(LISTED).collect();
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
     format!("{}{more}", names.join(", "))
 }

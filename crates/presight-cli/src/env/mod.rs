@@ -98,7 +98,7 @@ enum Command {
     },
     /// Verify every row, the whole log and the file's structure; list features that no longer lie on a polygon
     ///
-    /// Such features are a problem of the model, not of the file: the store is sound, and predictions ignore them.
+    /// Such features are a problem of the model, not of the file: the store is intact, and predictions ignore them.
     Check {
         /// The store
         store: PathBuf,
@@ -157,7 +157,7 @@ fn environment_of(scene: &Path, frame: &FrameArgs) -> Result<(Environment, Strin
     Ok((std::sync::Arc::unwrap_or_clone(scene.world.into_environment()), lay, scene.files))
 }
 
-/// Opens a store for changes, without a spatial index because nothing is predicted.
+/// Opens a store for changes, without the spatial index that predictions need.
 fn open_store(path: &Path) -> Result<Store> {
     Store::open_with_index(path, &IndexKind::None)
 }
@@ -171,7 +171,7 @@ fn create(store: &Path, scene: &Path, frame: &FrameArgs, note: &NoteArgs) -> Res
     let (environment, lay, scene_files) = environment_of(scene, frame)?;
     note.cause += &lay;
     let polygons = environment.objects().iter().map(|o| o.mesh.polygon_count() as u64);
-    tools::require(tools::of_writing(polygons))?;
+    tools::require_memory(tools::memory_of_writing(polygons))?;
     files.check_scene(&scene_files)?;
     store::create(store, &environment, &note)?;
     print::data(&format!("{} objects, content {}\n", show::live(&environment).count(), environment.content_hash()))

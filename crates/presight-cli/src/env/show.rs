@@ -2,8 +2,9 @@
 
 use super::stale::Stale;
 use crate::print;
-use presight::environment::{Environment, Mark, Object, lost_features};
+use presight::environment::{Environment, Mark, Object};
 use presight::features::Existence;
+use presight::files;
 use presight::store;
 use presight::store::LogEntry;
 use presight::tools::clipped;
@@ -77,7 +78,7 @@ fn trust(object: &str, trust: &Existence) -> Value {
 pub fn check(path: &Path) -> Result<()> {
     let info = store::check(path)?;
     print::data(&format!("sound: {} objects, {} changes\n", live(&info.environment).count(), info.changes))?;
-    match lost_features(&info.environment)? {
+    match files::problem_of_lost_features(&info.environment)? {
         Some(problem) => print::lines(problem.lines("    ")),
         None => Ok(()),
     }

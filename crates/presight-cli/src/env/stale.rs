@@ -1,6 +1,5 @@
 //! Objects and features without a recent confirmation: `presight env info --stale`.
 
-use super::show::live;
 use presight::environment::Environment;
 use presight::{Error, Result};
 
@@ -38,7 +37,8 @@ impl Stale {
                 layer.features.iter().map(move |f| (name(f.id), Some(f.existence.confirmed)))
             })
         };
-        let objects = live(environment).map(|o| (o.name.clone(), environment.trust(&o.name).map(|t| t.confirmed)));
+        let live = environment.objects().iter().filter(|o| !o.is_deleted());
+        let objects = live.map(|o| (o.name.clone(), environment.trust(&o.name).map(|t| t.confirmed)));
         let all: Vec<(String, Option<f64>)> = objects.chain(features()).collect();
         let newest = all.iter().filter_map(|(_, time)| *time).reduce(f64::max);
         let Some(from) = self.from.or(newest) else { return all };

@@ -46,7 +46,8 @@ pub struct Args {
     scene: Option<PathBuf>,
 
     /// The sensor class of the features
-    #[arg(long, value_name = "CLASS", required_unless_present = "worth", conflicts_with = "worth", value_parser = NonEmptyStringValueParser::new())]
+    #[arg(long, value_name = "CLASS", required_unless_present = "worth", conflicts_with = "worth")]
+    #[arg(value_parser = NonEmptyStringValueParser::new())]
     class: Option<String>,
 
     /// Write the layer
@@ -93,7 +94,7 @@ struct OptionArgs {
     #[arg(long, value_name = "M")]
     sigma: Option<f64>,
 
-    /// Largest distance of facets from their plane, metres, 0 for exact planes [default: three times the noise of each
+    /// Maximum distance of facets from their plane, metres, 0 for exact planes [default: three times the noise of each
     /// scanned mesh, at most three times --sigma]
     #[arg(long, value_name = "M")]
     flatness: Option<f64>,

@@ -56,7 +56,7 @@ fn parse_pixel(text: &str) -> Result<(u32, u32)> {
 /// Runs the command.
 ///
 /// # Errors
-/// Wrong usage; errors from reading the scene and sensor, and from the engine. A pixel that sees nothing is not an
+/// Wrong usage; errors from reading the scene and sensor, and from the engine. A pixel without a surface is not an
 /// error, but sets exit status 1.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let pose = args.pose.parse()?;
@@ -109,7 +109,8 @@ fn describe(view: &PickView<'_>, hit: &Hit, args: &Args, options: &GenerateOptio
     let (seen, hidden): (Vec<NearbyFeature>, Vec<NearbyFeature>) = near.into_iter().partition(|n| n.pixels.is_some());
     lines.push(String::new());
     lines.push(format!(
-        "visible edges and corners within {} m of it, nearest in the image first (pixels, metres, kind, points in the object, object)",
+        "visible edges and corners within {} m of it, nearest in the image first \
+         (pixels, metres, kind, points in the object, object)",
         args.reach
     ));
     lines.extend(listed(&seen));

@@ -54,10 +54,10 @@ const EXAMPLES: &str = "Examples:
 
 /// Predict the images of a sensor at a pose
 ///
-/// Without an output flag a one-line summary is printed. With --poses or --robot file names are templates: {i} is the
-/// number of the pose from 0 ({i:06} in six digits), {t} its time stamp as written, {sensor} the sensor. To continue an
-/// interrupted series, run the same command again. Poses from a pipe are answered one by one as they come if no files
-/// are written.
+/// The command prints a one-line summary if no output flag is given. With --poses or --robot file names are templates:
+/// {i} is the number of the pose from 0 ({i:06} in six digits), {t} its time stamp as written, {sensor} the sensor. To
+/// continue an interrupted series, run the same command again. Poses from a pipe are answered one by one as they come
+/// if no files are written.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -89,7 +89,7 @@ pub struct Args {
     #[command(flatten)]
     engine: EngineArgs,
 
-    /// How the CPU engine finds what rays see: by drawing polygons or by tiles of rays through trees; all give the same images
+    /// Rendering strategy of the CPU engine: polygons are drawn, or tiles of rays search trees; the images are the same
     #[arg(long, value_enum, default_value_t = WayArg::Auto)]
     way: WayArg,
 
@@ -202,7 +202,7 @@ enum PointsFrameArg {
 
 /// The arguments, checked as far as possible without opening the scene.
 pub struct Job {
-    /// Without --poses, one pose with an empty stamp.
+    /// One pose with an empty stamp if --poses is not given.
     pub poses: Poses,
     pub sensors: Vec<Sensor>,
     pub files: OutputFiles,

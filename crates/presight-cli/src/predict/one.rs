@@ -2,13 +2,13 @@
 
 use super::files::{Shown, attributes, write_files};
 use super::{Args, Job};
-use crate::statistics::{Statistics, Subject};
 use crate::summary::{Summary, objects_in};
 use crate::templates::Names;
-use crate::{CommandOutcome, print};
+use crate::{CommandOutcome, flags, print};
 use presight::files;
 use presight::tools;
 use presight::{Output, Predictor, Result, Stats};
+use presight_studies::statistics::{Statistics, Subject};
 use std::time::Instant;
 
 /// Predicts at one pose, and writes the files.
@@ -21,7 +21,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let mut predictor = Predictor::new(job.options)?;
     args.deadline.read_costs(&mut predictor)?;
     let frame = args.memory(&sensor, &request, &predictor);
-    tools::require(frame.bytes())?;
+    tools::require_memory(frame.bytes())?;
     let scene = args.open(&job.import)?;
     let pose = given.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
     let mut layers = args.layers.load(&scene, &sensor, args.asked())?;
@@ -32,7 +32,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request));
     let settings = args.virtual_sensor.settings(&scene, &sensor, &pose, &mut predictor)?;
     // Check again: the scene has taken some of the memory.
-    tools::require(frame.bytes())?;
+    tools::require_memory(frame.bytes())?;
     let start = Instant::now();
     let mut prediction = predictor.predict(&scene.world, &sensor, &pose, &request)?;
     let first_ms = start.elapsed().as_secs_f64() * 1e3;
@@ -56,6 +56,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         size: (sensor.width(), sensor.height()),
         outputs: request.outputs.iter().map(Output::name).collect(),
     };
+    runs.iter_mut().flat_map(|run| &mut run.notices).for_each(|notice| *notice = flags::named(notice));
     let statistics = Statistics::of(subject, &times_ms, &runs);
     let shown = Shown::of(args, &scene, &mut predictor, &prediction, (layers.as_ref(), &settings))?;
     job.files.check_scene(&scene.files)?;

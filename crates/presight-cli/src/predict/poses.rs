@@ -7,12 +7,10 @@ use crate::layers::Layers;
 use crate::overlap::{make_and_write, make_then_write};
 use crate::pose_series::{NamedPose, Poses, no_poses};
 use crate::series::SeriesProgress;
-use crate::stack::Stack;
 use crate::summary::{Summary, objects_in};
 use crate::templates::Names;
 use crate::{CommandOutcome, bar, print};
-use presight::files::{self, NpyValues};
-use presight::predict::SampleKind;
+use presight::files::{self, NpyStack};
 use presight::sensor::ExternalPose;
 use presight::tools::{self, FrameMemory};
 use presight::{Error, ErrorKind, Output, Prediction, Predictor, Request, Result, Scene, Sensor, blake3_of};
@@ -31,7 +29,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let overlapped = job.import.threads.count()? > 1;
     let frames = job.sensors.iter().zip(&requests).map(|(s, request)| args.memory(s, request, &predictor));
     let largest = of_frames(frames, if overlapped { 2 } else { 1 });
-    tools::require(largest)?;
+    tools::require_memory(largest)?;
     let scene = args.open(&job.import)?;
     let sensors = std::mem::take(&mut job.sensors);
     let mut setups = Vec::new();
@@ -39,7 +37,7 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         setups.push(Setup::new(args, &scene, sensor, request)?);
     }
     // Check again: the scene has taken some of the memory.
-    tools::require(largest)?;
+    tools::require_memory(largest)?;
     let files = std::mem::take(&mut job.files);
     files.check_scene(&scene.files)?;
     for setup in &setups {
@@ -136,7 +134,7 @@ struct Frames {
 }
 
 /// The arrays of one sensor that hold all poses.
-type Stacks = Vec<(Output, Stack)>;
+type Stacks = Vec<(Output, NpyStack)>;
 
 /// Predictions at all poses.
 struct Series<'a> {
@@ -163,10 +161,8 @@ impl Series<'_> {
         for setup in setups.iter().filter(|_| self.names.are_stacked()) {
             let mut of_setup = Stacks::new();
             for (output, path) in self.paths(&setup.sensor, 0, &poses[0].0)?.npy {
-                let descr = if output.info().kind == SampleKind::Id { "<u4" } else { "<f4" };
-                let image = files::npy_shape(setup.sensor.width(), setup.sensor.height(), output);
-                let shape = [vec![poses.len()], image].concat();
-                let (stack, goes_on) = Stack::open(&path, &shape, descr, until)?;
+                let size = (setup.sensor.width(), setup.sensor.height());
+                let (stack, goes_on) = NpyStack::open(&path, poses.len(), size, output, until)?;
                 kept &= goes_on;
                 of_setup.push((output, stack));
             }
@@ -245,9 +241,9 @@ impl Series<'_> {
         let paths = self.paths(&prediction.sensor, index, stamp)?;
         write_files(self.args, &paths, self.scene, prediction, attributes.clone(), shown)?;
         match stacks {
-            Some(stacks) => stacks.iter_mut().try_for_each(|(output, stack)| {
-                NpyValues::of(&prediction.images, *output).map_or(Ok(()), |values| stack.put(index, values))
-            })?,
+            Some(stacks) => {
+                stacks.iter_mut().try_for_each(|(output, stack)| stack.put_image(index, &prediction.images, *output))?
+            }
             None => {
                 paths.npy.iter().try_for_each(|(output, path)| files::write_npy(path, &prediction.images, *output))?
             }

@@ -1,7 +1,7 @@
 //! New objects of known shapes: the library and the recognizer of `presight update`.
 
 use crate::print;
-use presight::update::{Findings, Learner, Library, ProgramRecognizer, Recognizer};
+use presight::update::{Learner, Library, ProgramRecognizer, Recognizer, SiteFindings};
 use presight::{Error, Result, World};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -57,7 +57,7 @@ impl KnownArgs {
 impl Recognizers {
     /// Replaces boxes by known shapes. If the recognizer fails, the error is reported, and the findings keep their
     /// boxes.
-    pub fn improve(&mut self, learner: &mut Learner, world: &World, findings: &mut Findings) {
+    pub fn improve(&mut self, learner: &mut Learner, world: &World, findings: &mut SiteFindings) {
         let program = self.program.as_mut().map(|program| program as &mut dyn Recognizer);
         if let Err(e) = learner.recognize(world, findings, &self.library, program) {
             print::message(&e.to_string());

@@ -3,7 +3,7 @@
 
 use super::describe;
 use presight::tools::write_atomically;
-use presight::update::{Action, Finding, Findings, Learner, PlannedView, Policy};
+use presight::update::{Action, Finding, Learner, PlannedView, Policy, SiteFindings};
 use presight::{Error, Result, World};
 use serde_json::{Value, json};
 use std::io::Write;
@@ -41,7 +41,7 @@ fn line(object: Value, why: &str, view: Option<&PlannedView>) -> String {
 
 impl<'a> Questions<'a> {
     /// The findings at which a policy stops or to which it comes back.
-    pub fn of(learner: &mut Learner, world: &World, findings: &'a Findings, policy: &Policy) -> Self {
+    pub fn of(learner: &mut Learner, world: &World, findings: &'a SiteFindings, policy: &Policy) -> Self {
         let asks = |finding: &&Finding| matches!(policy.of(&finding.kind), Action::Stop | Action::ComeBack);
         let all: Vec<&Finding> = findings.changes.iter().filter(asks).collect();
         let views = learner.plan_views(world, &all);
@@ -55,7 +55,7 @@ impl<'a> Questions<'a> {
     }
 
     /// A line for each object in doubt, and for each finding to check.
-    pub fn lines(&self, findings: &Findings) -> String {
+    pub fn lines(&self, findings: &SiteFindings) -> String {
         let doubts = findings.doubts.iter().map(|d| line(d.object.as_str().into(), &d.why, d.view.as_ref()));
         let name = |f: &Finding| if f.object.is_empty() { Value::Null } else { f.object.as_str().into() };
         let asked = self.all.iter().map(|(finding, _, view)| line(name(finding), &describe(finding), view.as_ref()));

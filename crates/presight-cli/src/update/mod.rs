@@ -7,7 +7,7 @@ mod store_of;
 
 use super::drive::Drive;
 use super::outputs::OutputFiles;
-use super::{CommandOutcome, folder, print};
+use super::{CommandOutcome, print};
 use glam::DVec3;
 use known::KnownArgs;
 use looks::{Questions, look_from};
@@ -18,8 +18,8 @@ use presight::localize::Phase;
 use presight::localize::Step;
 use presight::measured::Frame;
 use presight::store::ProposedChange;
-use presight::tools::write_atomically;
-use presight::update::{Action, Finding, FindingKind, Findings, LearnOptions, Learner, Policy};
+use presight::tools::{create_folder, write_atomically};
+use presight::update::{Action, Finding, FindingKind, LearnOptions, Learner, Policy, SiteFindings};
 use presight::{Error, InWorld, PoseCovariance, PoseEstimate, Result, RobotPose, Scene, World};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -111,9 +111,9 @@ pub struct Args {
     #[arg(long, value_name = "L", default_value_t = 9.0)]
     sure: f64,
 
-    /// The most that one view counts, log-odds
-    #[arg(long, value_name = "L", default_value_t = 3.0)]
-    most_per_view: f64,
+    /// Maximum contribution of one view, log-odds
+    #[arg(long = "most-per-view", value_name = "L", default_value_t = 3.0)]
+    max_per_view: f64,
 }
 
 /// Runs the command.
@@ -145,7 +145,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         print::notices(&(left_out > 0).then_some(notice));
     }
     let stamp = learn(&drives, &scene, &mut learner, known.as_ref())?;
-    folder::ready(&args.out)?;
+    create_folder(&args.out)?;
     let mut findings = learner.findings(&scene.world);
     recognizers.improve(&mut learner, &scene.world, &mut findings);
     let utc = args.time.unwrap_or(0.0);
@@ -226,7 +226,7 @@ fn write_changes(path: &Path, changes: &[ProposedChange]) -> Result<()> {
 }
 
 fn options(args: &Args) -> Result<LearnOptions> {
-    for (flag, value) in [("--sure", args.sure), ("--most-per-view", args.most_per_view)] {
+    for (flag, value) in [("--sure", args.sure), ("--most-per-view", args.max_per_view)] {
         if !(value > 0.0 && value.is_finite()) {
             return Err(Error::usage(format!("{flag} {value}"), "give finite log-odds above 0"));
         }
@@ -234,7 +234,7 @@ fn options(args: &Args) -> Result<LearnOptions> {
     Ok(LearnOptions::default()
         .with_min_views(args.views.max(1))
         .with_decisive(args.sure)
-        .with_max_per_view(args.most_per_view)
+        .with_max_per_view(args.max_per_view)
         .with_model_sigma(args.drive.model_sigma.unwrap_or(0.0)))
 }
 
@@ -301,7 +301,7 @@ fn follow_known(
 }
 
 /// The world with all findings.
-fn after(world: &World, findings: &Findings) -> World {
+fn after(world: &World, findings: &SiteFindings) -> World {
     let mut after = world.clone();
     if findings.wrong.is_none() {
         // A finding that cannot be applied, such as a box at an odd place, is shown without its effect.
@@ -310,7 +310,7 @@ fn after(world: &World, findings: &Findings) -> World {
     after
 }
 
-fn summary(learner: &Learner, findings: &Findings, (before, after): (f64, f64)) -> String {
+fn summary(learner: &Learner, findings: &SiteFindings, (before, after): (f64, f64)) -> String {
     let count = |of: fn(&FindingKind) -> bool| findings.changes.iter().filter(|f| of(&f.kind)).count();
     let tally = learner.tally();
     let mut text = format!("{} frames, {} views, {} thrown away\n", tally.frames, tally.views, tally.discarded);

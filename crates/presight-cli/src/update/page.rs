@@ -6,7 +6,7 @@ use super::{Args, Drive, describe};
 use glam::DVec3;
 use presight::measured::Frame;
 use presight::tools::write_atomically;
-use presight::update::{BestView, DoubtfulObject, Finding, FindingKind, Findings, PlannedView};
+use presight::update::{BestView, DoubtfulObject, Finding, FindingKind, PlannedView, SiteFindings};
 use presight::{Backend, Change, Images, Options, Output, Outputs, Predictor, Result, Scene, Sensor, World};
 use presight_pictures::{Panel, panels_png};
 use presight_studies::page::{Label, Part, Section, Strip, page};
@@ -31,7 +31,7 @@ pub struct Page<'a> {
     pub args: &'a Args,
     pub drives: &'a [Drive],
     pub scene: &'a Scene,
-    pub findings: &'a Findings,
+    pub findings: &'a SiteFindings,
     pub summary: &'a str,
 }
 

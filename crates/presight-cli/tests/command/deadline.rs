@@ -144,9 +144,11 @@ fn priorities_are_checked() {
 #[test]
 fn broken_cost_files_are_named_and_left_unchanged() {
     let place = Place::new();
-    for (text, said) in
-        [("{}", "has no format"), ("{\"format\": 9, \"models\": []}", "newer"), ("no", "not a valid file of costs")]
-    {
+    for (text, said) in [
+        ("{}", "does not name its format"),
+        ("{\"format\": 9, \"models\": []}", "newer"),
+        ("no", "not a valid file of costs"),
+    ] {
         place.write("costs.json", text.as_bytes());
         let outcome = place.run(&format!("{PREDICT} --deadline-ms 60000 --costs costs.json"));
         assert_eq!(outcome.status, Some(1), "{text}: {}", outcome.stderr);

@@ -46,7 +46,7 @@ fn what_is_explored_is_explored_on_and_undone() {
     assert!(first.stdout.contains("change 1"), "{}", first.stdout);
     let areas = first.stdout.lines().nth(1).unwrap();
     let square_metres: Vec<f64> = areas.split_whitespace().filter_map(|word| word.parse().ok()).collect();
-    assert!(areas.contains("seen by nobody") && square_metres.iter().all(|area| *area > 0.1), "{areas}");
+    assert!(areas.contains("unobserved") && square_metres.iter().all(|area| *area > 0.1), "{areas}");
     let known = info(&place.path("room.presight")).unwrap().environment;
     assert!(known.object("floor/0001").is_some() && known.object("wall/0001").is_some());
     assert!(known.trust("wall/0001").unwrap().p0 > 0.8);
@@ -310,7 +310,7 @@ fn frames_that_see_only_a_floor_are_named() {
     assert!(without.status == Some(1) && without.stderr.contains("--init x,y,z"), "{}", without.stderr);
     let ran = place.run("explore down --sensor down/sensor.toml --init 2,1.5,1.3,0,80,0 --out a.presight");
     assert_eq!(ran.status, Some(0), "{}", ran.stderr);
-    assert!(ran.stderr.contains("show nothing that is known and are left out: "), "{}", ran.stderr);
+    assert!(ran.stderr.contains("show no known surface and are left out: "), "{}", ran.stderr);
     assert!(ran.stderr.contains("3 s, 4 s, 5 s"), "{}", ran.stderr);
 }
 

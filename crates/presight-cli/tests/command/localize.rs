@@ -194,7 +194,9 @@ fn a_drive_is_drawn() {
     }
     assert_eq!(leaves[7]["state"], "tracking");
     // The map is exact, and the page shows the deviation learnt from it.
-    assert!(leaves[7]["model_sigma"].as_f64().unwrap() < 0.003 && html.contains("surfaces of the map count as off by"));
+    assert!(
+        leaves[7]["model_sigma"].as_f64().unwrap() < 0.003 && html.contains("standard deviation of the map's surfaces")
+    );
     // Features are drawn only on request.
     let made = place.run("features room.glb --class laser --out edges.layer.json");
     assert_eq!(made.status, Some(0), "{}", made.stderr);
@@ -396,12 +398,12 @@ fn an_interrupted_run_goes_on() {
     fs::write(&image, &whole).unwrap();
     let done = place.run(line);
     assert_eq!(done.status, Some(0), "{}", done.stderr);
-    assert!(done.stderr.contains("going on behind the frame at 15 s"), "{}", done.stderr);
+    assert!(done.stderr.contains("continuing after the frame at 15 s"), "{}", done.stderr);
     assert_eq!(times("run.tum"), (10..18).map(f64::from).collect::<Vec<_>>());
     assert_eq!(fs::read_to_string(place.path("run.jsonl")).unwrap().lines().count(), 8);
     assert!(!place.path("run.resume").exists());
     let again = place.run(line);
-    assert!(!again.stderr.contains("going on") && again.stdout.contains("8 of 8 frames"), "{}", again.stderr);
+    assert!(!again.stderr.contains("continuing") && again.stdout.contains("8 of 8 frames"), "{}", again.stderr);
 }
 
 /// By hand: a folder's odometry gives the motion between its images; half-way between two lines the robot is half-way.

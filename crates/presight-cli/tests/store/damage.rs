@@ -1,6 +1,6 @@
 //! Flipped bytes and truncation.
 
-use super::{create, hospital, note, numbered, small};
+use super::{create, environment_of, hospital, note, numbered, small};
 use presight::store;
 use presight::store::Store;
 use std::path::Path;
@@ -82,7 +82,7 @@ fn every_truncation_is_noticed() {
 fn flipped_bytes_of_a_large_store_are_noticed() {
     let Some(scene) = hospital() else { return };
     let folder = tempfile::tempdir().unwrap();
-    let environment = presight::files::import_gltf(scene, &Default::default()).unwrap().environment;
+    let environment = environment_of(scene);
     let path = create(folder.path(), &environment);
     let size = std::fs::metadata(&path).unwrap().len() as usize;
     let mut random = 0x2545_F491_4F6C_DD1Du64;

@@ -1,7 +1,7 @@
 //! `presight env export`, and importing the export again.
 
 use super::command::{json, refusal, run, scene};
-use super::{create, presight, small};
+use super::{create, environment_of, presight, small};
 use presight::environment::Environment;
 use presight::store;
 use presight::{Change, World};
@@ -54,13 +54,13 @@ fn an_exported_environment_is_the_same() {
     let path = folder.path().join("e.glb");
     let again = |environment: &Environment| {
         presight::files::write_glb(&path, environment).unwrap();
-        let mut again = presight::files::import_gltf(&path, &Default::default()).unwrap().environment;
+        let mut again = environment_of(&path);
         environment.layers().iter().for_each(|l| again.add_layer(l.clone()).unwrap());
         again
     };
     assert_eq!(again(&small()).content_hash(), small().content_hash());
     let Some(hospital) = super::hospital() else { return };
-    let hospital = presight::files::import_gltf(hospital, &Default::default()).unwrap().environment;
+    let hospital = environment_of(hospital);
     let back = again(&hospital);
     assert_eq!(back.content_hash(), hospital.content_hash());
     assert_eq!((hospital.groups().len(), back.groups()), (143, hospital.groups()));
@@ -85,7 +85,7 @@ fn a_group_that_another_program_moved_stays_moved() {
     let mut moved = bytes.clone();
     moved[from + 2..from + 5].copy_from_slice(b"7.5");
     std::fs::write(&path, moved).unwrap();
-    let again = presight::files::import_gltf(&path, &Default::default()).unwrap().environment;
+    let again = environment_of(&path);
     let frame = again.frame("g/h").unwrap().translation;
     assert!((frame - glam::DVec3::new(-3.0, 7.5, 0.0)).length() < 1e-12, "{frame}");
     assert_eq!(again.frame("g/h/y"), small().frame("g/h/y"));

@@ -23,6 +23,11 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 
+/// The environment of a scene's file.
+fn environment_of(path: impl AsRef<Path>) -> Environment {
+    Arc::unwrap_or_clone(presight::Scene::open(path).unwrap().world.into_environment())
+}
+
 fn presight() -> Command {
     Command::new(env!("CARGO_BIN_EXE_presight"))
 }

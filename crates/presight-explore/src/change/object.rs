@@ -135,7 +135,8 @@ impl Surfaces {
         })
     }
 
-    /// Each plane constrains the object along its normal and about the two perpendicular axes. Borders constrain it to a cell.
+    /// Each plane constrains the object along its normal and about the two perpendicular axes. Borders constrain it to
+    /// a cell.
     fn covariance(&self, planes: &[u32], middle: DVec3, radius: f64) -> PoseCovariance<InObject> {
         let mut information: Matrix = [[0.0; 6]; 6];
         let constrain = |j: [f64; 6], sigma: f64, information: &mut Matrix| {

@@ -5,7 +5,8 @@ use crate::observe::{View, Views};
 use glam::{DVec2, DVec3, Vec3};
 use presight_model::sensor::Geometry;
 
-/// Minimum cosine of incidence: the end of a more grazing ray is uncertain along the normal by more than the size of a cell.
+/// Minimum cosine of incidence: the end of a more grazing ray is uncertain along the normal by more than the size of a
+/// cell.
 const MIN_COSINE: f32 = 0.15;
 /// Range below which the weight of a ray grows no further, metres.
 const NEAREST: f32 = 0.3;
@@ -39,15 +40,16 @@ impl Evidence {
         }
     }
 
-    /// Balance of hits and passes, from -1 (all rays passed) to 1 (all rays ended there). A single hit does not outweigh passes.
+    /// Balance of hits and passes, from -1 (all rays passed) to 1 (all rays ended there). A single hit does not
+    /// outweigh passes.
     pub fn value(&self) -> f32 {
         let is_alone = self.hits == 0 || self.hits == 1 && self.passes > 0;
         if is_alone { -0.7 } else { (self.hit - self.pass) / (self.hit + self.pass) }
     }
 }
 
-/// Distances from a plane, metres: a ray that ends within `hit` ended on the plane, a ray that ends more than `pass` behind
-/// passed through it. With wider margins planes would stick out at convex edges.
+/// Distances from a plane, metres: a ray that ends within `hit` ended on the plane, a ray that ends more than `pass`
+/// behind passed through it. With wider margins planes would stick out at convex edges.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Margins {
     pub hit: f32,
@@ -61,8 +63,8 @@ impl Margins {
     }
 }
 
-/// Neighbouring planes that divide a plane along their common lines. Pixels may be farther apart than cells, so a ray that ended
-/// on one side of such a line is no evidence for a cell on the other side.
+/// Neighbouring planes that divide a plane along their common lines. Pixels may be farther apart than cells, so a ray
+/// that ended on one side of such a line supports no cell on the other side.
 #[derive(Default)]
 pub(crate) struct Fences {
     pub planes: Vec<Flat>,
@@ -73,8 +75,8 @@ pub(crate) struct Fences {
 }
 
 impl Fences {
-    /// False if a point lies on the other side of a fence than the place. Point and fences are in the image frame: `fences` holds
-    /// normals, and the heights of the frame's origin above the planes.
+    /// False if a point lies on the other side of a fence than the place. Point and fences are in the image frame:
+    /// `fences` holds normals, and the heights of the frame's origin above the planes.
     #[inline]
     fn admit(&self, place: usize, p: Vec3, fences: &[(Vec3, f32)]) -> bool {
         let Some(own) = self.of.get(place) else { return true };
@@ -129,7 +131,8 @@ fn add(view: &View, plane: &Flat, places: &[(f32, f32)], fences: &Fences, margin
             if cosine < MIN_COSINE {
                 continue;
             }
-            // Measured along the normal at the point itself, because the pixel's ray does not pass exactly through the cell.
+            // Measured along the normal at the point itself, because the pixel's ray does not pass exactly through the
+            // cell.
             let behind = side * (normal.dot(centre) - measured * slope);
             if behind.abs() < margins.hit && !fences.admit(start + k, ray * measured, &parting) {
                 continue;
@@ -168,8 +171,8 @@ impl Ball {
             .then(|| Self { centre: plane.point(0.5 * (min + max)), radius: 0.5 * (max - min).length() })
     }
 
-    /// False only if no place can be in the image of a camera without distortion: the ball lies behind one of the four planes through
-    /// the image's borders.
+    /// False only if no place can be in the image of a camera without distortion: the ball lies behind one of the four
+    /// planes through the image's borders.
     fn may_be_seen(&self, view: &View) -> bool {
         let is_pinhole = matches!(&view.sensor().spec().geometry, Geometry::Camera(c) if c.distortion.is_none());
         if !is_pinhole {

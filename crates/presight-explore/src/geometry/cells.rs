@@ -75,8 +75,8 @@ impl Cells {
         along(&rows, self.width, self.height, |cell, width| cell / width, self.width)
     }
 
-    /// Closed lines around the cells at which a field is positive, which lie on the left of the lines. The field must be
-    /// negative at the outer cells. The lines come from marching squares between the middles of cells. If only two
+    /// Closed lines around the cells at which a field is positive, which lie on the left of the lines. The field must
+    /// be negative at the outer cells. The lines come from marching squares between the middles of cells. If only two
     /// opposite corners of a square are positive, the sign of the mean decides whether they are connected.
     pub fn contours(&self, field: &[f32]) -> Vec<Vec<DVec2>> {
         let next = self.steps(field);
@@ -99,8 +99,8 @@ impl Cells {
         loops
     }
 
-    /// The next edge on the line, for each edge between two middles that a line crosses. Edge 2 c leads from cell c to the
-    /// right, edge 2 c + 1 to the next row.
+    /// The next edge on the line, for each edge between two middles that a line crosses. Edge 2 c leads from cell c to
+    /// the right, edge 2 c + 1 to the next row.
     fn steps(&self, field: &[f32]) -> HashMap<u64, u64> {
         let mut next = HashMap::new();
         for row in 0..self.height - 1 {

@@ -7,8 +7,8 @@ use presight_model::union_find::UnionFind;
 use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation};
 use std::collections::HashMap;
 
-/// Maximum number of corners of a polygon. It stays far below the limit of a model, because many corners slow every engine's
-/// worst case.
+/// Maximum number of corners of a polygon. It stays far below the limit of a model, because many corners slow every
+/// engine's worst case.
 const MAX_CORNERS: usize = if limits::MAX_CORNERS < 24 { limits::MAX_CORNERS } else { 24 };
 
 /// Convex polygons that cover what the closed lines enclose an odd number of times, counter-clockwise. Lines may cross.
@@ -120,7 +120,8 @@ impl Pieces {
 mod tests {
     use super::*;
 
-    /// A square of 4 x 4 m with a square hole of 2 x 2 m has 12 square metres, which take at least four convex polygons.
+    /// A square of 4 x 4 m with a square hole of 2 x 2 m has 12 square metres, which take at least four convex
+    /// polygons.
     #[test]
     fn a_hole_stays_open() {
         let square =
@@ -133,7 +134,7 @@ mod tests {
         assert_eq!(convex(&[square(0.0, 4.0)]).len(), 1);
     }
 
-    /// A bow tie encloses two triangles of one square metre each. The crossing itself is no corner of the triangulation, so
+    /// A bow tie encloses two triangles of one square metre each. The triangulation has no corner at the crossing, so
     /// the area may differ, but it stays within the square.
     #[test]
     fn lines_may_cross() {

@@ -38,7 +38,8 @@ impl Flat {
     }
 }
 
-/// The vector of twice the area of a planar polygon: along its normal, from whose side the corners run counter-clockwise.
+/// The vector of twice the area of a planar polygon: along its normal, from whose side the corners run
+/// counter-clockwise.
 pub(crate) fn doubled_area(corners: &[DVec3]) -> DVec3 {
     corners.windows(2).skip(1).map(|pair| (pair[0] - corners[0]).cross(pair[1] - corners[0])).sum()
 }
@@ -49,8 +50,8 @@ pub(crate) fn bounds(points: impl IntoIterator<Item = DVec2>) -> (DVec2, DVec2) 
     points.into_iter().fold(empty, |(min, max), q| (min.min(q), max.max(q)))
 }
 
-/// True if a point lies in a convex polygon whose corners run counter-clockwise. `slack` is the tolerance of the cross products
-/// of the sides with the directions to the point.
+/// True if a point lies in a convex polygon whose corners run counter-clockwise. `slack` is the tolerance of the cross
+/// products of the sides with the directions to the point.
 pub(crate) fn is_inside(q: DVec2, corners: &[DVec2], slack: f64) -> bool {
     let mut sides = corners.iter().zip(corners.iter().cycle().skip(1));
     sides.all(|(a, b)| (b - a).perp_dot(q - a) >= -slack)

@@ -114,7 +114,8 @@ fn fit(world: &World, views: &Views, predictor: &mut Predictor, tolerance: f64, 
     )
 }
 
-/// The object's mesh after its faces moved, in its frame without scale; `None` if no face moved, or if a polygon would bend.
+/// The object's mesh after its faces moved, in its frame without scale; `None` if no face moved, or if a polygon would
+/// bend.
 fn moved(object: &Object, faces: &Faces, base: DVec3) -> Option<Mesh> {
     let changes: Vec<Option<DVec3>> = faces.faces.iter().map(correction).collect();
     let shift = shift(faces, &changes);
@@ -156,7 +157,8 @@ fn correction(face: &Face) -> Option<DVec3> {
     (face.fit.weight >= MIN_RAYS && change.is_finite()).then_some(change)
 }
 
-/// The least-squares translation of the whole object for the corrections of its faces; 0 along directions without a face.
+/// The least-squares translation of the whole object for the corrections of its faces; 0 along directions without a
+/// face.
 fn shift(faces: &Faces, changes: &[Option<DVec3>]) -> DVec3 {
     shortest(faces.faces.iter().zip(changes).filter_map(|(face, change)| Some((face.flat.normal, change.as_ref()?.x))))
 }
@@ -187,8 +189,8 @@ fn replace(environment: &mut Environment, index: usize, mesh: Mesh) -> Result<()
     environment.insert(new).map(drop)
 }
 
-/// The environment with openings where rays passed, and the area of the openings, square metres. Objects without a remaining part
-/// are deleted. `cell` is the size of the cells, metres.
+/// The environment with openings where rays passed, and the area of the openings, square metres. Objects without a
+/// remaining part are deleted. `cell` is the size of the cells, metres.
 pub(crate) fn opened(environment: &Environment, views: &Views, cell: f64) -> Result<(Environment, f64)> {
     let (mut now, mut open) = (environment.clone(), 0.0);
     for index in 0..environment.objects().len() {

@@ -3,14 +3,14 @@
 use super::view::View;
 use glam::Vec3;
 
-/// Maximum second difference of 1 / range between neighbouring pixels, 1 / m. 1 / range is linear on a plane, so a larger
-/// difference is a step. The noise of a depth camera's disparity is smaller.
+/// Maximum second difference of 1 / range between neighbouring pixels, 1 / m. 1 / range is linear on a plane, so a
+/// larger difference is a step. The noise of a depth camera's disparity is smaller.
 const STEP: f32 = 0.02;
 /// Minimum cosine of incidence: at more grazing rays, normals and ranges are unreliable.
 pub(crate) const MIN_COSINE: f32 = 0.1;
 
-/// The point, the unit normal towards the sensor and the cosine of incidence at a pixel, in the image frame. `None` at a
-/// depth step or a missing range.
+/// The point, the unit normal towards the sensor and the cosine of incidence at a pixel, in the image frame. `None` at
+/// a depth step or a missing range.
 pub(crate) fn oriented(view: &View, pixel: usize) -> Option<(Vec3, Vec3, f32)> {
     let width = view.width();
     let [left, right, above, below] = [pixel - 1, pixel + 1, pixel - width, pixel + width];

@@ -4,8 +4,8 @@ use super::view::{View, Views};
 use glam::DVec2;
 use presight_model::statistics::median;
 
-/// Points are sparse if a square of this side, in units of the detail, holds less than one point of all views together: cubes
-/// of the size of the detail would have no neighbours.
+/// Points are sparse if a square of this side, in units of the detail, holds less than one point of all views together:
+/// cubes of the size of the detail would have no neighbours.
 const SPARSE: f64 = 4.0;
 
 /// True if the points of all views are too far apart for surfels of this size, metres.
@@ -15,7 +15,7 @@ pub(crate) fn are_sparse(views: &Views, detail: f64) -> bool {
         let mut ranges: Vec<f64> = view.ranges.iter().filter(|r| r.is_finite()).map(|r| f64::from(*r)).collect();
         median(&mut ranges).unwrap_or(0.0) * spacing.max_element()
     };
-    let mut all: Vec<f64> = views.some(16).all().iter().map(distance).collect();
+    let mut all: Vec<f64> = views.sample().all().iter().map(distance).collect();
     median(&mut all).is_some_and(|distance| distance > SPARSE * detail * (views.all().len() as f64).sqrt())
 }
 

@@ -74,6 +74,7 @@ impl Views {
     }
 
     /// The views.
+    #[doc(hidden)]
     pub fn all(&self) -> &[View] {
         &self.views
     }
@@ -104,6 +105,11 @@ impl Views {
         let mut views: Vec<View> = self.views.iter().rev().step_by(step).cloned().collect();
         views.reverse();
         Self { base: self.base, views }
+    }
+
+    /// A sample of the views that suffices for medians over their pixels and for mirrors.
+    pub(crate) fn sample(&self) -> Self {
+        self.some(16)
     }
 
     /// One of the views alone.
@@ -237,8 +243,8 @@ impl View {
         (u >= 0.0 && v >= 0.0 && u < width as f32 && v < height as f32).then(|| v as usize * width + u as usize)
     }
 
-    /// The unit ray of the nearest pixel, as of [`Self::pixel_towards`], and its range; `None` outside the image and without a
-    /// measurement.
+    /// The unit ray of the nearest pixel, as of [`Self::pixel_towards`], and its range; `None` outside the image and
+    /// without a measurement.
     #[inline]
     pub(crate) fn towards(&self, p: Vec3) -> Option<(Vec3, f32)> {
         let pixel = self.pixel_towards(p)?;

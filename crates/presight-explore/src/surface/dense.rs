@@ -32,8 +32,8 @@ pub(crate) fn detail(options: &ExploreOptions, views: &Views) -> Detail {
     Detail::of(views, if is_sparse { Some(MIN_SIZE) } else { options.detail })
 }
 
-/// The surfaces that explain the used pixels, or `None` if there are none. `detail` is that of the views. `is_used` selects pixels by
-/// the indices of view and pixel.
+/// The surfaces that explain the used pixels, or `None` if there are none. `detail` is that of the views. `is_used`
+/// selects pixels by the indices of view and pixel.
 pub(crate) fn explain(
     views: &Views,
     (options, detail): (&ExploreOptions, &Detail),
@@ -148,7 +148,8 @@ fn touching(surface: &Surface, labels: &[u32]) -> Vec<[u32; 2]> {
     sets.into_iter().flatten().collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// At most `max` pieces, in their order: those with the highest gains, which explain enough pixels and more than they block.
+/// At most `max` pieces, in their order: those with the highest gains, which explain enough pixels and more than they
+/// block.
 fn confirmed(pieces: Vec<Piece>, pixels: &[PixelCounts], max: usize) -> Vec<Piece> {
     let mut best: Vec<usize> =
         (0..pieces.len()).filter(|k| pixels[*k].explained >= MIN_PIXELS && pixels[*k].gain() > 0).collect();

@@ -4,7 +4,7 @@ use crate::geometry::Flat;
 use glam::{DMat3, DVec3};
 
 /// Normal equations of a correction of a plane: its height over the centre and its two slopes.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 pub(crate) struct PlaneFit {
     a: DMat3,
     b: DVec3,
@@ -13,10 +13,11 @@ pub(crate) struct PlaneFit {
 }
 
 impl PlaneFit {
-    /// Without points.
+    /// The equations of no points.
     pub const ZERO: Self = Self { a: DMat3::ZERO, b: DVec3::ZERO, weight: 0.0 };
 
-    /// Adds a point relative to the base of the views. Its weight is halved at the distance `tolerance` from the plane, metres.
+    /// Adds a point relative to the base of the views. Its weight is halved at the distance `tolerance` from the plane,
+    /// metres.
     pub fn add(&mut self, plane: &Flat, p: DVec3, weight: f64, tolerance: f64) {
         let (above, q) = (plane.above(p), plane.place(p));
         let weight = weight / (1.0 + (above / tolerance).powi(2));
@@ -26,8 +27,8 @@ impl PlaneFit {
         self.weight += weight;
     }
 
-    /// The correction: height over the centre, metres, and slopes along the axes. Weak priors hold it where the points leave it
-    /// open, as for the slope across a narrow plane.
+    /// The correction: height over the centre, metres, and slopes along the axes. Weak priors hold it where the points
+    /// leave it open, as for the slope across a narrow plane.
     pub fn correction(&self) -> DVec3 {
         let slope = 0.02 * (self.a.y_axis.y + self.a.z_axis.z) + 1e-4;
         (self.a + DMat3::from_diagonal(DVec3::new(1e-6, slope, slope))).inverse() * self.b

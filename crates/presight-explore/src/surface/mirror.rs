@@ -13,15 +13,15 @@ const MIN_AREA: f64 = 0.5;
 const BEHIND: f64 = 0.1;
 /// Side of the cells of an opening, metres.
 const CELL: f64 = 0.1;
-/// Maximum number of views in which mirrors are searched.
-const VIEWS: usize = 16;
-/// Minimum cosine between the normals of a point and the mirror. Surfaces perpendicular to the mirror's plane, such as the floor, also
-/// continue behind an open door.
+/// Minimum cosine between the normals of a point and the mirror. Surfaces perpendicular to the mirror's plane, such as
+/// the floor, also continue behind an open door.
 const ACROSS: f64 = 0.3;
-/// Maximum distance of a mirrored point from its original, in sizes of surfels and in metres. Larger surfels would match by chance.
+/// Maximum distance of a mirrored point from its original, in sizes of surfels and in metres. Larger surfels would
+/// match by chance.
 const SAME: f64 = 2.0;
 const NEAR: f64 = 0.05;
-/// Minimum number of points behind an opening, and minimum share of images among them. Behind a door fewer match by chance.
+/// Minimum number of points behind an opening, and minimum share of images among them. Behind a door fewer match by
+/// chance.
 const MIN_POINTS: u32 = 100;
 const IMAGES: f64 = 0.8;
 
@@ -64,9 +64,9 @@ pub(crate) fn without_images(views: &Views, surface: &Surface, regions: &Regions
 fn mirrors(views: &Views, surface: &Surface, plane: &Flat, members: &[u32]) -> Vec<Mirror> {
     let (min, max) = bounds(members.iter().map(|m| plane.place(surface.surfels[*m as usize].at)));
     let size = surface.surfels[members[0] as usize].size;
-    // By cell: number of points that could be images, and of those with an original.
+    // By cell: number of points that could be images, and number of images.
     let mut counts: BTreeMap<[i64; 2], [u32; 2]> = BTreeMap::new();
-    for view in views.some(VIEWS).all() {
+    for view in views.sample().all() {
         for pixel in view.inner_pixels() {
             let Some(q) = crossing(plane, view, pixel).filter(|q| q.cmpge(min).all() && q.cmple(max).all()) else {
                 continue;

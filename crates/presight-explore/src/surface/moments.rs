@@ -72,7 +72,8 @@ impl Moments {
         Flat { centre: self.at / self.weight, normal }
     }
 
-    /// The cost of one plane for all surfels, square metres: squared distances, and `normals` times the spread of the normals.
+    /// The cost of one plane for all surfels, square metres: squared distances, and `normals` times the spread of the
+    /// normals.
     pub fn cost(&self, normals: f64) -> f64 {
         if self.count < 1.0 {
             return 0.0;

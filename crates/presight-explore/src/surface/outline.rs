@@ -1,4 +1,5 @@
-//! Outlines of planes around the cells on which rays ended, without the cells that rays passed through and the unobserved ones.
+//! Outlines of planes around the cells on which rays ended, without the cells that rays passed through and the
+//! unobserved ones.
 
 use crate::evidence::{Evidence, Fences, Margins, evidence};
 use crate::geometry::{Cells, Flat, area, bounds, convex, doubled_area, simplified};
@@ -51,9 +52,9 @@ pub(crate) struct OutlineOptions {
 pub struct Areas {
     /// Surface on which rays ended.
     pub surface: f64,
-    /// Openings beside the surface, through which rays passed.
+    /// Adjacent openings, through which rays passed.
     pub open: f64,
-    /// Unobserved area beside the surface.
+    /// Adjacent unobserved area.
     pub unseen: f64,
 }
 
@@ -70,9 +71,9 @@ impl Areas {
 pub(crate) struct Outline {
     pub pieces: Vec<Piece>,
     pub areas: Areas,
-    /// Middles of the unobserved cells beside the surface, and the size of a cell, metres.
+    /// Middles of the adjacent unobserved cells, and the size of a cell, metres.
     pub unseen: (Vec<DVec3>, f64),
-    /// Weights of the rays that ended on the surface, and of those that passed through it.
+    /// Weight of the hits on the surface, and weight of its passes.
     pub evidence: [f64; 2],
 }
 
@@ -169,7 +170,8 @@ struct Corners<'a> {
 }
 
 impl Corners<'_> {
-    /// The shortest vector in the plane from a point to the common line with another plane; `None` if the planes are nearly parallel.
+    /// The shortest vector in the plane from a point to the common line with another plane; `None` if the planes are
+    /// nearly parallel.
     fn to_line(&self, other: &Flat, q: DVec2) -> Option<DVec2> {
         let across = self.across(other);
         let height = other.above(self.all.planes[self.plane as usize].point(q));
@@ -181,7 +183,8 @@ impl Corners<'_> {
         DVec2::from(self.all.planes[self.plane as usize].axes().map(|axis| other.normal.dot(axis)))
     }
 
-    /// A point of the outline, moved to the common lines with one or two neighbouring planes near it, so that corners close.
+    /// A point of the outline, moved to the common lines with one or two neighbouring planes near it, so that corners
+    /// close.
     fn closed(&self, q: DVec2, size: f64) -> DVec2 {
         let p = self.all.planes[self.plane as usize].point(q);
         let near = self.all.surface.near(p, ADJACENT * size).map(|s| self.all.labels[s as usize]);
@@ -190,8 +193,8 @@ impl Corners<'_> {
         let mut shifts: Vec<DVec2> = shifts.filter(|shift| shift.length() < CORNER * size).collect();
         shifts.sort_by(|a, b| a.length_squared().total_cmp(&b.length_squared()));
         let Some(first) = shifts.first() else { return q };
-        // The shift to the intersection of two lines has both shifts as its projections. If it is longer than their sum, the lines
-        // intersect elsewhere.
+        // The shift to the intersection of two lines has both shifts as its projections. If it is longer than their
+        // sum, the lines intersect elsewhere.
         let to_both = |second: &DVec2| {
             let across = first.perp_dot(*second);
             let both = (first.perp() * second.length_squared() - second.perp() * first.length_squared()) / across;

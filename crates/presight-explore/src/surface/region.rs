@@ -17,8 +17,8 @@ const NORMAL_COST: f64 = 0.15;
 const NEGLIGIBLE: f64 = 0.03;
 /// Maximum error of a plane that the noise hides, in standard deviations of a range.
 const HIDDEN: f64 = 3.0;
-/// Cost of a merge, in variances of the surfels, that 99 of 100 merges do not exceed if only noise separates the two planes: chi squared
-/// with the three degrees of freedom of a plane.
+/// Cost of a merge, in variances of the surfels, that 99 of 100 merges do not exceed if only noise separates the two
+/// planes: chi squared with the three degrees of freedom of a plane.
 const BY_CHANCE: f64 = 11.34;
 /// Numbers of adaptation rounds before and after the merge.
 const ROUNDS: [usize; 2] = [4, 5];
@@ -31,7 +31,8 @@ pub(crate) struct Regions {
 }
 
 impl Regions {
-    /// At most `max` planes, and fewer where noise hides the cost of a merge. `min_size` is the minimum size of surfels, metres.
+    /// At most `max` planes, and fewer where noise hides the cost of a merge. `min_size` is the minimum size of
+    /// surfels, metres.
     pub fn new(surface: &Surface, (min_size, noise): (f64, Noise), max: usize) -> Self {
         let mut regions = grown(surface);
         regions.adapt(surface, ROUNDS[0]);
@@ -49,7 +50,7 @@ impl Regions {
         members
     }
 
-    /// Moves each surfel to the best plane among those of its neighbours, then fits the planes again.
+    /// Moves each surfel to the best of its neighbours' planes, then fits the planes again.
     fn adapt(&mut self, surface: &Surface, rounds: usize) {
         for _ in 0..rounds {
             let (labels, planes) = (&self.labels, &self.planes);
@@ -156,8 +157,8 @@ struct FreeCost {
 }
 
 impl FreeCost {
-    /// A plane through an arc of n surfels with the sagitta e costs n e^2 4 / 45, and planes through its halves cost a sixteenth of that. The
-    /// merge of the halves costs the difference, e^2 / 6 for each surfel of a half.
+    /// A plane through an arc of n surfels with the sagitta e costs n e^2 4 / 45, and planes through its halves cost a
+    /// sixteenth of that. The merge of the halves costs the difference, e^2 / 6 for each surfel of a half.
     fn new(min_size: f64, noise: Noise) -> Self {
         let e = HIDDEN * noise.range;
         Self {
@@ -231,8 +232,8 @@ impl Merger {
         self.offers.push(Offer { price, pair: [p, q], versions: [self.versions[i], self.versions[j]] });
     }
 
-    /// Merges until at most `max` regions are left and no merge is free. Returns the new index of each region, `u32::MAX` for a region
-    /// without surfels.
+    /// Merges until at most `max` regions are left and no merge is free. Returns the new index of each region,
+    /// `u32::MAX` for a region without surfels.
     fn run(mut self, max: usize, free: &FreeCost) -> Vec<u32> {
         let mut left = self.moments.iter().filter(|m| m.count > 0.0).count();
         for a in 0..self.moments.len() as u32 {

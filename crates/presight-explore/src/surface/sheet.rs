@@ -14,7 +14,8 @@ use presight_predict::predict::Predictor;
 use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
 use std::collections::{BTreeSet, HashMap};
 
-/// Maximum distance of neighbouring rays, in spacings of the sensor's rays: every other ray may lack a reading, across and along.
+/// Maximum distance of neighbouring rays, in spacings of the sensor's rays: every other ray may lack a reading, across
+/// and along.
 const GAP: f64 = 2.0 * std::f64::consts::SQRT_2;
 /// Tolerance of straight borders, in sides of a triangle. The border of a surface is uncertain by half a side.
 const STRAIGHT: f64 = 0.15;
@@ -106,8 +107,8 @@ struct Drawn<'a> {
 }
 
 impl Drawn<'_> {
-    /// The polygons of triangles on one plane. Their corners are the intersections of the rays with the plane, and their borders are
-    /// simplified by a share of `size`.
+    /// The polygons of triangles on one plane. Their corners are the intersections of the rays with the plane, and
+    /// their borders are simplified by a share of `size`.
     fn pieces(&self, plane: &Flat, number: u32, triangles: &[u32], size: f64) -> Vec<Piece> {
         let in_plane = |border: Vec<u32>| {
             let line: Vec<DVec2> = border.iter().map(|pixel| self.intersection(plane, *pixel as usize)).collect();
@@ -137,7 +138,7 @@ impl Drawn<'_> {
             let mut border = vec![first];
             while at != first {
                 border.push(at);
-                // Each corner is the start of as many sides as it is the end of.
+                // Equal numbers of sides start and end at each corner.
                 let Some(next) = open.range((at, 0)..=(at, u32::MAX)).next().copied() else { break };
                 open.remove(&next);
                 at = next.1;
@@ -181,7 +182,8 @@ pub(crate) fn sheets(
         let [hit, pass] = &mut evidence[piece.plane as usize];
         (*hit, *pass) = (*hit + f64::from(*explained), *pass + f64::from(*blocked));
     }
-    // A corner lies on a ray, and chance decides which of the pieces around the corner explains that ray: one pixel is no evidence.
+    // A corner lies on a ray, and chance decides which of the pieces around the corner explains that ray: one pixel is
+    // no evidence.
     let sound = found.pieces.into_iter().zip(&verdicts.pixels).filter(|(_, pixels)| pixels.gain() >= -1);
     let pieces: Vec<Piece> = sound.map(|(piece, _)| piece).collect();
     let unseen: f64 = found.unseen.iter().map(|(places, side)| places.len() as f64 * side * side).sum();

@@ -18,8 +18,8 @@ const SAME_SURFACE: f64 = 10.0;
 /// Minimum weight of the rays that move a plane.
 const MIN_WEIGHT: f64 = 5.0;
 
-/// The mesh of convex polygons with these corners, metres, and for each polygon of the mesh the index of its source. Polygons that
-/// f32 cannot represent are split into triangles, and triangles of that kind are dropped.
+/// The mesh of convex polygons with these corners, metres, and for each polygon of the mesh the index of its source.
+/// Polygons that f32 cannot represent are split into triangles, and triangles of that kind are dropped.
 pub(crate) fn mesh<'a>(
     name: &str,
     polygons: impl Iterator<Item = &'a [DVec3]>,
@@ -80,7 +80,8 @@ impl Solid {
         Ok(Self { world: World::new(environment), piece })
     }
 
-    /// Compares all pixels of the views that have a measurement, which may be the absence of a return, and a prediction.
+    /// Compares all pixels of the views that have a measurement, which may be the absence of a return, and a
+    /// prediction.
     pub fn compare(&self, predictor: &mut Predictor, views: &Views, visit: impl FnMut(PixelComparison)) -> Result<()> {
         compare(predictor, &self.world, views, |slot| self.piece[slot as usize], visit)
     }
@@ -110,8 +111,8 @@ pub(crate) fn compare(
     Ok(())
 }
 
-/// Planes fitted to the rays that end on their pieces, robust against other surfaces. `tolerance` is the distance at which
-/// the weight of a ray is halved, metres, by plane.
+/// Planes fitted to the rays that end on their pieces, robust against other surfaces. `tolerance` is the distance at
+/// which the weight of a ray is halved, metres, by plane.
 pub(crate) fn refitted(
     predictor: &mut Predictor,
     views: &Views,

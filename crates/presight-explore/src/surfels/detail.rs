@@ -1,5 +1,5 @@
-//! The size of the smallest surfels that the measurements support, from the noise of the ranges, the spacing of points and the
-//! number of views.
+//! The size of the smallest surfels that the measurements support, from the noise of the ranges, the spacing of points
+//! and the number of views.
 
 use super::surfel::NEAR;
 use crate::evidence::Margins;
@@ -12,8 +12,6 @@ use std::collections::HashMap;
 pub(crate) const MIN_SIZE: f64 = 0.02;
 /// Maximum size of a surfel, metres.
 const MAX_SIZE: f64 = 1.0;
-/// Maximum number of views from which the noise is estimated.
-const VIEWS: usize = 16;
 /// Share of the cells of a surface that may be missed by chance. Each is a hole.
 const MISS_RATE: f64 = 1e-4;
 /// Normal deviate of the admissible error of a surfel, which one in a hundred exceeds.
@@ -64,7 +62,7 @@ struct Reach {
 impl Detail {
     /// The sizes that the views support, or the given size, metres.
     pub fn of(views: &Views, given: Option<f64>) -> Self {
-        let sample = views.some(VIEWS);
+        let sample = views.sample();
         let mut spread: HashMap<i32, Vec<f64>> = HashMap::new();
         let mut footprints = Footprints::default();
         for view in sample.all() {
@@ -92,8 +90,8 @@ impl Detail {
                 continue;
             }
             let far = (f64::from(bin + 1) / STEPS).exp2();
-            // The residual is a range minus the mean of two others, with 1.5 times the variance of a range. The median of its
-            // absolute value is 0.6745 standard deviations.
+            // The residual is a range minus the mean of two others, with 1.5 times the variance of a range. The median
+            // of its absolute value is 0.6745 standard deviations.
             let estimated = median(off).unwrap_or(0.0) / 0.6745 / 1.5f64.sqrt();
             let sigma = estimated.max(stated.range_sigma + stated.range_sigma_quadratic * far * far);
             let (spacing, seen) = (pitches.map(|a| a * far), seen.max(1.0));
@@ -129,8 +127,8 @@ impl Detail {
     }
 }
 
-/// The smallest sufficient size for ranges with the standard deviation `sigma`, pixels with this spacing across and along, and
-/// points that appear in this many views, metres.
+/// The smallest sufficient size for ranges with the standard deviation `sigma`, pixels with this spacing across and
+/// along, and points that appear in this many views, metres.
 fn side(sigma: f64, spacing: [f64; 2], views: f64) -> f64 {
     let [across, along] = spacing;
     let suffices = |side: f64| {
@@ -188,8 +186,8 @@ fn pitches(view: &View) -> [f64; 2] {
     [view.pitch(), if along > 0.0 && along < 1.0 { along } else { view.pitch() }]
 }
 
-/// Distance of the middle one of three points from the line through the others, along its ray, metres. On a plane the inverse of the
-/// range is a linear function of the ray, whatever the angles between the rays.
+/// Distance of the middle one of three points from the line through the others, along its ray, metres. On a plane the
+/// inverse of the range is a linear function of the ray, whatever the angles between the rays.
 fn off_line(view: &View, pixels: [usize; 3]) -> Option<f64> {
     let ranges = pixels.map(|i| f64::from(view.ranges[i]));
     let [p, q, r] = pixels.map(|i| view.unit_ray(i).as_dvec3());
@@ -234,9 +232,9 @@ impl Footprints {
 mod tests {
     use super::*;
 
-    /// One view misses a cell if a ray is off by more than a quarter of the size: 3.89 standard deviations for 1 in 10,000, so the
-    /// size is at least 15.6 of them, in steps of a fourth of a doubling. Many views allow smaller sizes, until the cubes are no longer
-    /// filled.
+    /// One view misses a cell if a ray is off by more than a quarter of the size: 3.89 standard deviations for 1 in
+    /// 10,000, so the size is at least 15.6 of them, in steps of a fourth of a doubling. Many views allow smaller
+    /// sizes, until the cubes are no longer filled.
     #[test]
     fn more_noise_asks_for_larger_pieces_and_more_views_for_smaller_ones() {
         let one = side(0.01, [0.005; 2], 1.0);

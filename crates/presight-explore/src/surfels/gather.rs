@@ -34,8 +34,8 @@ impl Sum {
 /// Index of a cube; direction and size level in one number.
 type Key = ([i32; 3], u8);
 
-/// The surfels of views, in a fixed order. `detail` sets the sizes of the cubes. `is_used` selects pixels by the indices of view
-/// and pixel.
+/// The surfels of views, in a fixed order. `detail` sets the sizes of the cubes. `is_used` selects pixels by the
+/// indices of view and pixel.
 pub(crate) fn surfels(views: &Views, detail: &Detail, is_used: impl Fn(usize, usize) -> bool + Sync) -> Vec<Surfel> {
     let mut sums: HashMap<Key, Sum> = HashMap::new();
     let numbered: Vec<(usize, &View)> = views.all().iter().enumerate().collect();

@@ -1,4 +1,5 @@
-//! Merging of surfels of one surface. Where the side of a cube runs along the surface, noise spreads its points over two cubes.
+//! Merging of surfels of one surface. Where the side of a cube runs along the surface, noise spreads its points over
+//! two cubes.
 
 use super::surfel::{SIMILAR, Surfel};
 use rstar::RTree;
@@ -6,12 +7,12 @@ use rstar::primitives::GeomWithData;
 
 /// Maximum distance along the surface between surfels that are merged, in sizes.
 const ALONG: f64 = 0.5;
-/// Maximum distance between the means of the two parts of one surface, in standard deviations of a range: 3.3 if the side of the
-/// cube separates one point in a thousand.
+/// Maximum distance between the means of the two parts of one surface, in standard deviations of a range: 3.3 if the
+/// side of the cube separates one point in a thousand.
 const SEPARATION: f64 = 3.3;
 
-/// The surfels after merging those that noise separated. The smallest surfels have the size `min_size`, and their ranges the
-/// standard deviation `noise`, metres.
+/// The surfels after merging the ones that noise separated. The smallest surfels have the size `min_size`, and their
+/// ranges the standard deviation `noise`, metres.
 pub(crate) fn merged(surfels: &[Surfel], min_size: f64, noise: f64) -> Vec<Surfel> {
     let points = surfels.iter().zip(0u32..).map(|(s, i)| GeomWithData::new(s.at.to_array(), i)).collect();
     let tree: RTree<GeomWithData<[f64; 3], u32>> = RTree::bulk_load(points);
@@ -52,8 +53,8 @@ mod tests {
     use super::*;
     use glam::DVec3;
 
-    /// 3 of 4 pixels lie 2 mm below the side of a cube, the fourth lies 6 mm above it. With a noise of 5 mm they are one surface at
-    /// their mean, with a noise of 1 mm two.
+    /// 3 of 4 pixels lie 2 mm below the side of a cube, the fourth lies 6 mm above it. With a noise of 5 mm they are
+    /// one surface at their mean, with a noise of 1 mm two.
     #[test]
     fn a_surface_separated_by_noise_is_merged() {
         let surfel =

@@ -1,5 +1,5 @@
-//! Exploration without poses: each frame is localized in the model of the frames before it, and added to it. A frame outside the model
-//! starts a new group, which is merged when a later frame connects the two.
+//! Exploration without poses: each frame is localized in the model of the frames before it, and added to it. A frame
+//! outside the model starts a new group, which is merged when a later frame connects the two.
 
 use super::group::{Group, Searcher};
 use crate::change::Known;
@@ -58,7 +58,8 @@ impl Follower {
         })
     }
 
-    /// Localizes the next frame and adds it. `None` if the frame is not connected to the group of the first frame, at least not yet.
+    /// Localizes the next frame and adds it. `None` if the frame is not connected to the group of the first frame, at
+    /// least not yet.
     ///
     /// # Errors
     /// Those of [`presight_localize::localize::Localizer::step`] and [`crate::Exploration::of`].
@@ -110,7 +111,8 @@ impl Follower {
         }
     }
 
-    /// Merges the followed group with the groups that it is connected to. The first group is compared first, then the latest ones.
+    /// Merges the followed group with the groups that it is connected to. The first group is compared first, then the
+    /// latest ones.
     fn merge(&mut self) -> Result<()> {
         let mut pairs = MAX_PAIRS;
         while let Some((other, pose)) = self.connected(&mut pairs)? {
@@ -125,7 +127,8 @@ impl Follower {
         Ok(())
     }
 
-    /// A group that is connected to the followed one, with the pose of its frame of reference in that of the followed group.
+    /// A group that is connected to the followed one, with the pose of its frame of reference in that of the followed
+    /// group.
     fn connected(&mut self, pairs: &mut usize) -> Result<Option<(usize, PoseEstimate)>> {
         let own = &self.groups[self.current];
         let others = std::iter::once(0).chain((1..self.groups.len()).rev()).filter(|other| *other != self.current);
@@ -154,7 +157,8 @@ impl Follower {
         if self.groups.is_empty() { Views::default() } else { self.groups.swap_remove(0).views }
     }
 
-    /// Time stamps of the frames of each other group, seconds. A group of one frame has no surface in common with another frame.
+    /// Time stamps of the frames of each other group, seconds. A group of one frame has no surface in common with
+    /// another frame.
     pub fn apart(&self) -> Vec<Vec<f64>> {
         let stamps = |group: &Group| group.views.all().iter().map(|view| view.stamp).collect();
         let others = self.groups.iter().skip(1).map(stamps);

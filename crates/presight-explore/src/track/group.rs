@@ -25,9 +25,10 @@ const MODEL_SIGMA: f64 = 0.005;
 const START_SIGMA: f64 = 0.01;
 /// Standard deviations of the prior of a search, metres and radians.
 const REACH: (f64, f64) = (0.5, 0.4);
-/// Minimum explained share of a frame's points: below it a quick search is given up, and a full search tries more starts.
+/// Minimum explained share of a frame's points: below it a quick search is given up, and a full search tries more
+/// starts.
 const PROMISING: f64 = 0.5;
-/// Minimum share of confirmed pixels among those that can be compared with the model.
+/// Minimum share of confirmed pixels among the pixels that can be compared with the model.
 const CONFIRMED: f64 = 0.8;
 
 fn estimator(options: &ExploreOptions, estimates: EstimateOptions) -> Result<Estimator> {
@@ -45,7 +46,7 @@ pub(crate) struct Searcher {
 
 impl Searcher {
     pub fn new(options: &ExploreOptions) -> Result<Self> {
-        let estimates = |least: f64| EstimateOptions::default().with_least_explained(least);
+        let estimates = |min: f64| EstimateOptions::default().with_least_explained(min);
         Ok(Self { quick: estimator(options, estimates(0.0))?, full: estimator(options, estimates(PROMISING))? })
     }
 
@@ -61,14 +62,14 @@ impl Searcher {
     }
 }
 
-/// True if a pose is as precise as the pose of the first frame, so that its view may be added to the model. A view of a floor alone does not
-/// determine such a pose.
+/// True if a pose is as precise as the pose of the first frame, so that its view may be added to the model. A view of a
+/// floor alone does not determine such a pose.
 fn is_precise(pose: &PoseEstimate) -> bool {
     (0..6).all(|i| pose.covariance.as_rows()[i][i] <= START_SIGMA * START_SIGMA)
 }
 
-/// The pose of an estimate if it is accepted: most pixels confirm the model, few of the comparable ones contradict it, and the pose is
-/// precise.
+/// The pose of an estimate if it is accepted: most pixels confirm the model, few of the comparable ones contradict it,
+/// and the pose is precise.
 fn accepted(estimate: &Estimate) -> Option<PoseEstimate> {
     let count = |verdict: Verdict| estimate.verdicts.iter().map(|v| v.counts()[verdict as usize]).sum::<usize>() as f64;
     let confirmed = count(Verdict::Confirmed);
@@ -152,7 +153,8 @@ impl Group {
         }
     }
 
-    /// Adds the next frame, after tracking it or searching near the last pose. `None` if the frame does not show the model.
+    /// Adds the next frame, after tracking it or searching near the last pose. `None` if the frame does not show the
+    /// model.
     pub fn add(&mut self, frame: &Frame, by: &mut Searcher, options: &ExploreOptions) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, localizer }) = &mut self.model else { return Ok(None) };
         let step = localizer.step(world, frame)?;
@@ -216,9 +218,9 @@ impl Group {
         sum(&self.covariance.moved_by(self.found.translation - self.centre), &self.last)
     }
 
-    /// The pose of another group's frame of reference in this one, from a frame of the other group that shows this model. The covariance
-    /// is that of the other frame's origin. Frames of the other group are tried at the places since the last comparison, the newest
-    /// first, until no `pairs` are left.
+    /// The pose of another group's frame of reference in this one, from a frame of the other group that shows this
+    /// model. The covariance is that of the other frame's origin. Frames of the other group are tried at the places
+    /// since the last comparison, the newest first, until no `pairs` are left.
     pub fn pose_of(&self, other: &Self, by: &mut Searcher, pairs: &mut usize) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, .. }) = &self.model else { return Ok(None) };
         for own in self.places[self.used.1..].iter().rev() {
@@ -244,7 +246,8 @@ impl Group {
         self.used.1 = self.places.len();
     }
 
-    /// Takes in another group with the pose of its frame of reference. `is_followed` is true if the other group is the followed one.
+    /// Takes in another group with the pose of its frame of reference. `is_followed` is true if the other group is the
+    /// followed one.
     pub fn join(
         &mut self,
         other: Self,
@@ -286,7 +289,8 @@ fn sum(a: &PoseCovariance<InWorld>, b: &PoseCovariance<InWorld>) -> PoseCovarian
     PoseCovariance::from_rows(rows)
 }
 
-/// A localizer after its first frame, at the given pose. It has a time stamp from then on, and predicts the motion until the next frame.
+/// A localizer after its first frame, at the given pose. It has a time stamp from then on, and predicts the motion
+/// until the next frame.
 fn started(world: &World, frame: &Frame, robot: RobotPose, options: &ExploreOptions) -> Result<Localizer> {
     let start = PoseEstimate::of_sigmas(robot, START_SIGMA, START_SIGMA);
     let estimator = estimator(options, EstimateOptions::default())?;

@@ -10,7 +10,8 @@ use presight_model::measured::{Frame, Measurement};
 use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
 use presight_testkit::Random;
 
-/// A pane in the window reflects in one frame of nine, as glass does at right angles, and lets the rays of the others through.
+/// A pane in the window reflects in one frame of nine, as glass does at right angles, and lets the rays of the others
+/// through.
 #[test]
 fn glass_that_rays_go_through_leaves_nothing() {
     let with_pane = |appearance: Appearance| {
@@ -21,7 +22,7 @@ fn glass_that_rays_go_through_leaves_nothing() {
         let corners = [[2.0, -0.4, -0.4], [2.0, 0.4, -0.4], [2.0, 0.4, 0.4], [2.0, -0.4, 0.4]].map(Vec3::from);
         let pane = presight_testkit::scenes::mesh(&[corners.to_vec()]).with_materials(|_| material);
         real.insert(NewObject::new("pane", Pose::IDENTITY, pane.into())).unwrap();
-        // The sensor's rays go on to a wall behind.
+        // The sensor's rays continue to a wall behind.
         let wall = [[4.0, -3.0, -2.0], [4.0, 3.0, -2.0], [4.0, 3.0, 2.0], [4.0, -3.0, 2.0]].map(Vec3::from);
         real.insert(NewObject::new("back", Pose::IDENTITY, presight_testkit::scenes::mesh(&[wall.to_vec()]).into()))
             .unwrap();
@@ -55,7 +56,8 @@ fn nothing_flat_is_an_error_or_next_to_nothing() {
     }
 }
 
-/// Trees: points that lie decimetres apart, no two of them on one surface. Nearly all of what lies between them stays open.
+/// Trees: points that lie decimetres apart, no two of them on one surface. Nearly all of what lies between them stays
+/// open.
 #[test]
 fn a_scan_of_leaves_becomes_no_wall() {
     let angles = |first: f64, count: u32| Angles::Uniform { start_deg: first, step_deg: 1.5, count };

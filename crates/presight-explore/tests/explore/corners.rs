@@ -1,5 +1,5 @@
-//! Two walls and a floor that are known by hand, seen from inside: corners close, nothing stands out beyond them, and a doorway
-//! next to the corner stays open.
+//! Two walls and a floor with hand-computed surfaces, seen from inside: corners close, nothing stands out beyond them,
+//! and a doorway next to the corner stays open.
 
 use super::rooms::{sensor, views_of};
 use glam::{DVec3, Vec3};
@@ -10,8 +10,8 @@ use presight_testkit::judge::is_blocked;
 use presight_testkit::oracle::Oracle;
 use presight_testkit::scenes::empty;
 
-/// The walls are x = 2 and y = 1.5, the floor is z = -1. The doorway in the wall x = 2 begins this far from the corner, is 80 cm wide
-/// and reaches to z = 0.8.
+/// The walls are x = 2 and y = 1.5, the floor is z = -1. The doorway in the wall x = 2 begins this far from the corner,
+/// is 80 cm wide and reaches to z = 0.8.
 fn room(jamb: f32) -> Environment {
     let ahead = |[a, b, c, d]: [f32; 4]| [[2.0, a, c], [2.0, a, d], [2.0, b, d], [2.0, b, c]].map(Vec3::from).to_vec();
     let (left, right) = (1.5 - jamb, 0.7 - jamb);
@@ -31,7 +31,8 @@ fn room(jamb: f32) -> Environment {
     environment
 }
 
-/// From left to right, and down by 20 degrees, which sees the wall above the door up to z = 0.9 only; `up` turns every second look up.
+/// From left to right, and down by 20 degrees, which sees the wall above the door up to z = 0.9 only; `up` turns every
+/// second look up.
 fn looks(up: f64) -> impl Iterator<Item = Pose> {
     (0..16).map(move |k| {
         let turn = f64::from(k) / 15.0 - 0.5;
@@ -57,7 +58,7 @@ fn explored(real: &Environment, polygons: usize, up: f64) -> Exploration {
     Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap()
 }
 
-/// Points on a common line of two surfaces, and the ways along the surfaces away from it.
+/// Points on a common line of two surfaces, and the directions along the surfaces away from it.
 fn lines(jamb: f64) -> Vec<(DVec3, [DVec3; 2])> {
     let mut lines = Vec::new();
     for k in 0..60 {
@@ -75,13 +76,13 @@ fn gap(found: &Environment, jamb: f64) -> f64 {
     let eye = DVec3::new(0.3, 0.2, 0.1);
     let oracle = Oracle::new(found, eye).unwrap();
     let is_closed = |p: DVec3| oracle.hides(eye, (p - eye).normalize(), p.distance(eye) + 0.03, &[]);
-    let open = |at: DVec3, way: DVec3| {
-        (0..80).map(|k| 1e-3 * f64::from(k) + 2e-4).find(|off| is_closed(at + way * *off)).unwrap_or(0.08)
+    let open = |at: DVec3, along: DVec3| {
+        (0..80).map(|k| 1e-3 * f64::from(k) + 2e-4).find(|off| is_closed(at + along * *off)).unwrap_or(0.08)
     };
-    lines(jamb).iter().map(|(at, ways)| ways.map(|way| open(*at, way)).iter().sum()).fold(0.0, f64::max)
+    lines(jamb).iter().map(|(at, directions)| directions.map(|along| open(*at, along)).iter().sum()).fold(0.0, f64::max)
 }
 
-/// How far surfaces reach out of the room, metres.
+/// Distance by which surfaces extend out of the room, metres.
 fn fin(found: &Environment) -> f64 {
     let beyond = |p: DVec3| (p.x - 2.0).max(p.y - 1.5).max(-1.0 - p.z);
     let objects = found.objects().iter().filter(|o| !o.is_deleted());
@@ -96,9 +97,9 @@ fn blocked(found: &Environment, jamb: f64) -> usize {
     (0..900).filter(|k| is_blocked(found, at(*k) - 0.1 * DVec3::X, at(*k) + 0.1 * DVec3::X)).count()
 }
 
-/// Pixels are 4 cm apart at the corner. Measured: gaps of 1 and 2 mm; 17 mm beyond a wall, and 41 mm with 500 polygons, whose outlines are
-/// coarser. The aim of 1 cm is missed; before planes parted each other's cells, the floor reached 68 mm below a wall. Narrow
-/// planes along a corner remain, of pixels whose neighbours lie on both sides of it.
+/// Pixels are 4 cm apart at the corner. Measured: gaps of 1 and 2 mm; 17 mm beyond a wall, and 41 mm with 500 polygons,
+/// whose outlines are coarser. The aim of 1 cm is missed; before planes parted each other's cells, the floor reached 68
+/// mm below a wall. Narrow planes along a corner remain, of pixels whose neighbours lie on both sides of it.
 #[test]
 fn corners_close_and_a_doorway_beside_them_stays_open() {
     for (polygons, jamb, up, most) in [(2000, 0.1, 0.0, 0.02), (500, 0.1, 0.0, 0.045), (2000, 0.0, 0.5, 0.02)] {
@@ -126,6 +127,6 @@ fn what_is_wrong_with_a_corner_is_found() {
     assert_eq!((fin(&right), blocked(&right, 0.1)), (0.0, 0));
     assert_eq!(blocked(&with([[2.0, 1.4, -1.0], [2.0, 1.4, 0.8], [2.0, 0.6, 0.8], [2.0, 0.6, -1.0]]), 0.1), 900);
     assert!(fin(&with([[2.0, 1.0, -1.0], [2.02, 1.0, -1.0], [2.02, 1.5, -1.0], [2.0, 1.5, -1.0]])) > 0.019);
-    // Without the jamb, the corner is as open as the doorway is wide.
+    // The gap at the corner is as wide as the doorway without the jamb.
     assert!(gap(&room(0.0), 0.1) > 0.07);
 }

@@ -7,8 +7,9 @@ use presight_model::geometry::SensorPose;
 use presight_testkit::judge::{Placed, judge, sights};
 use presight_testkit::oracle::Oracle;
 
-/// Share of the pixels of frames at which a model is off by over 5 cm, by rays without noise. A pixel is excused if its eight neighbours and
-/// itself span what the model shows, to 5 cm: an edge within a pixel. Places that fewer than three frames of `built` saw do not count.
+/// Share of the pixels of frames at which a model is off by over 5 cm, by rays without noise. A pixel is excused if its
+/// eight neighbours and itself span what the model shows, to 5 cm: an edge within a pixel. Places that fewer than three
+/// frames of `built` saw do not count.
 fn off(real: &Environment, model: &Environment, frames: &[Placed], built: &[Placed]) -> f64 {
     let origin = frames[0].1.translation;
     let (truth, model) = (Oracle::seen_by(real, origin, "laser").unwrap(), Oracle::new(model, origin).unwrap());
@@ -31,15 +32,15 @@ fn off(real: &Environment, model: &Environment, frames: &[Placed], built: &[Plac
             let most = near.iter().copied().fold(0.0, f32::max);
             let is_edge = shown > least - 0.05 && shown < most + 0.05;
             let (column, row) = pixel(i);
-            let way = pose.rotation * (sensor.body_from_image() * sensor.ray(column, row).unwrap());
-            off += usize::from(!is_edge && sights(built, pose.translation + way * f64::from(*range), 0.03) >= 3);
+            let direction = pose.rotation * (sensor.body_from_image() * sensor.ray(column, row).unwrap());
+            off += usize::from(!is_edge && sights(built, pose.translation + direction * f64::from(*range), 0.03) >= 3);
         }
     }
     off as f64 / f64::from(all)
 }
 
-/// Measured: 0.27 % of the pixels show a surface that is off by over 5 cm: narrow sides of panels and covers that few pixels of the drive
-/// show, behind which the model shows the machine's box. The aim of 0 is missed.
+/// Measured: 0.27 % of the pixels show a surface that is off by over 5 cm: narrow sides of panels and covers that few
+/// pixels of the drive show, behind which the model shows the machine's box. The aim of 0 is missed.
 #[test]
 fn machines_known_as_boxes_are_corrected_and_keep_their_paths() {
     let [real, rough] = scenes();

@@ -1,4 +1,4 @@
-//! A drive along two machines of the factory, which a rough model has as boxes. The bench has it, too.
+//! A drive along two machines of the factory, which are boxes in a rough model. The bench includes this drive.
 
 use glam::DVec3;
 use presight_model::environment::Environment;

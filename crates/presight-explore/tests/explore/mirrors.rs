@@ -1,4 +1,4 @@
-//! A mirror in a wall shows a room behind it. A door shows one, too.
+//! A mirror in a wall shows an apparent room behind it, an open door a real one.
 
 use super::rooms::{sensor, views_of};
 use glam::{DVec3, Vec3};
@@ -71,7 +71,7 @@ fn a_room_behind_a_mirror_does_not_become_a_room() {
     assert!(found.mirrored > 1000 && behind(&found) < 0.01, "{} points, {} m2", found.mirrored, behind(&found));
 }
 
-/// The next room goes on with floor and side walls, ends after 2 m, and has a box of its own.
+/// The next room continues the floor and the side walls, ends after 2 m, and contains another box.
 #[test]
 fn a_room_behind_a_door_does() {
     let next = [

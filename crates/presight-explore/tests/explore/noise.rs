@@ -1,4 +1,4 @@
-//! Noise decides how small pieces of surface can be: nobody has to say so.
+//! The measured noise determines the size of the smallest surfels, without an option.
 
 use super::rooms::views_of;
 use glam::{DVec3, Vec3};
@@ -74,7 +74,8 @@ fn coarse_and_noisy_cameras_need_no_advice() {
     }
 }
 
-/// Planes of the column, by hand: half of it is seen. A plane whose middle is e nearer than its ends covers 2 acos(1 - e / r) of the arc.
+/// Planes of the column, by hand: half of it is seen. A plane whose middle is e nearer than its ends covers 2 acos(1 -
+/// e / r) of the arc.
 fn by_hand(error: f64) -> f64 {
     std::f64::consts::PI / (2.0 * (1.0 - error / 0.4).acos())
 }
@@ -103,9 +104,10 @@ fn facets(found: &Exploration) -> Vec<f64> {
     areas
 }
 
-/// Merging in pairs leaves planes that cover between half of what noise bears and all of it: up to twice as many as by hand make nine
-/// tenths of the column. Fragments at the silhouettes and between planes are half as many again. Measured: 9, 7 and 6 planes, with fragments
-/// 15, 15 and 9; when merges ignored the noise, 13, 100 and 86, with fragments 23, 187 and 126.
+/// Merging in pairs leaves planes with between half of the error that noise hides and all of it: up to twice as many as
+/// by hand make nine tenths of the column. Fragments at the silhouettes and between planes are half as many again.
+/// Measured: 9, 7 and 6 planes, with fragments 15, 15 and 9; when merges ignored the noise, 13, 100 and 86, with
+/// fragments 23, 187 and 126.
 #[test]
 fn a_column_becomes_as_many_planes_as_its_noise_asks_for() {
     let counts = [0.002, 0.005, 0.01].map(|sigma| {

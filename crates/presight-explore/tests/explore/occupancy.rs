@@ -30,7 +30,8 @@ fn hall() -> Environment {
     environment
 }
 
-/// Cells that are said to be free although a ray across them, between the heights, ends in them, `inside` metres from their borders.
+/// Cells that are said to be free although a ray across them, between the heights, ends in them, `inside` metres from
+/// their borders.
 fn wrongly_free(environment: &Environment, grid: &Grid, options: &GridOptions, inside: f64) -> usize {
     let oracle = Oracle::new(environment, DVec3::ZERO).unwrap();
     let is_hit = |cell: usize| {
@@ -67,8 +68,8 @@ fn no_occupied_cell_is_free_and_no_floor_is_unknown() {
     assert_eq!(wrongly_free(&environment, &grid, &options, 0.0), 1, "planted");
 }
 
-/// What a robot explored is a map for planners: no cell that is occupied in the real room is free in it. Surfaces that end within 3 mm of
-/// the next cell do not count: they are as far off.
+/// What a robot explored is a map for planners: no cell that is occupied in the real room is free in it. Surfaces that
+/// end within 3 mm of the next cell do not count: they are as far off.
 #[test]
 fn an_explored_room_has_no_free_cell_that_is_occupied() {
     let real = room();
@@ -82,7 +83,8 @@ fn an_explored_room_has_no_free_cell_that_is_occupied() {
     assert!(wrongly_free(&real, &grid, &options, 0.003) > 100, "planted");
 }
 
-/// Where a mark says that nobody looked between the heights, no cell is free; below the heights a mark changes nothing.
+/// No cell is free in a space that a mark records as unobserved between the heights. A mark below the heights has no
+/// effect.
 #[test]
 fn what_nobody_saw_is_unknown() {
     let (mut environment, options) = (hall(), GridOptions::default());

@@ -1,4 +1,5 @@
-//! An office driven through with a lidar of 16 rows: its four outer walls are known to 10 cm, all else is found.
+//! An office driven through with a lidar of 16 rows: the model has its four outer walls within 10 cm, and the drive
+//! finds the rest.
 
 use super::parts;
 use glam::{DVec3, Vec3};
@@ -12,7 +13,7 @@ use presight_predict::predict::{Backend, Options, Predictor};
 use presight_testkit::caster::Caster;
 use presight_testkit::judge::{Placed, judge, sights};
 use presight_testkit::oracle::Oracle;
-use presight_testkit::way::{Driving, Way};
+use presight_testkit::route::{Driving, Route};
 
 fn lidar() -> Sensor {
     let spec = presight::preset("vlp-16").unwrap().spec().clone();
@@ -25,10 +26,10 @@ fn lidar() -> Sensor {
 fn drive(real: &Environment, sensor: &Sensor, seed: u64, seconds: f64, walkers: usize) -> Vec<Placed> {
     let bounds = real.bounds();
     let oracle = Oracle::new(real, 0.5 * (bounds.min + bounds.max)).unwrap();
-    let way = Way::wander(&oracle, &bounds, &Driving { seconds, speed: 0.6, turn: 0.6 }, seed);
-    let mut caster = Caster::new(real, sensor.clone(), seed).with_walkers(walkers, &way, seed);
+    let route = Route::wander(&oracle, &bounds, &Driving { seconds, speed: 0.6, turn: 0.6 }, seed);
+    let mut caster = Caster::new(real, sensor.clone(), seed).with_walkers(walkers, &route, seed);
     let times = (0..(2.0 * seconds) as usize).map(|k| 0.5 * k as f64);
-    times.map(|t| (caster.frame(&|t| way.at(t), t, None), way.at(t) * sensor.spec().mount)).collect()
+    times.map(|t| (caster.frame(&|t| route.at(t), t, None), route.at(t) * sensor.spec().mount)).collect()
 }
 
 /// The outer walls as boxes that are 10 cm off, from the bounds of the shell.
@@ -56,8 +57,9 @@ struct Shared {
     area: [f64; 2],
 }
 
-/// What `a` has in common with `b`, of the places that three of these frames saw. A polygon is the same if 19 in 20 of the points on it, a cell and more from its border, lie on a
-/// surface of `b` within three standard deviations of the ranges, along its normal. The middle decides on a polygon of less than a cell.
+/// What `a` has in common with `b`, of the places that three of these frames saw. A polygon is the same if 19 in 20 of
+/// the points on it, a cell and more from its border, lie on a surface of `b` within three standard deviations of the
+/// ranges, along its normal. The middle decides on a polygon of less than a cell.
 fn shared(a: &Environment, b: &Environment, frames: &[Placed]) -> Shared {
     const CELL: f64 = 0.025;
     const NOISE: f64 = 0.03;
@@ -69,8 +71,8 @@ fn shared(a: &Environment, b: &Environment, frames: &[Placed]) -> Shared {
         let (area, normal) = (0.5 * outer.length(), outer.normalize());
         let is_inside = |p: DVec3| {
             (0..n).all(|k| {
-                let way = (corners[(k + 1) % n] - corners[k]).normalize();
-                normal.cross(way).dot(p - corners[k]) > CELL
+                let side = (corners[(k + 1) % n] - corners[k]).normalize();
+                normal.cross(side).dot(p - corners[k]) > CELL
             })
         };
         let mut points = vec![corners.iter().sum::<DVec3>() / n as f64];
@@ -93,9 +95,10 @@ fn shared(a: &Environment, b: &Environment, frames: &[Placed]) -> Shared {
     sum
 }
 
-/// Five people walk where the robot drives. Measured: 4.3 of 181 square metres of the model without them are not in the model with them, and
-/// 1.3 of 175 the other way; 831 of 952 polygons are the same. 0.3 % of the pixels of the drive are nearer. Without merges by noise, which makes
-/// a surface several times over, 4.8 of 320 square metres differ. When the surfels of walkers stayed, half of the area was lost.
+/// Five people walk where the robot drives. Measured: 4.3 of 181 square metres of the model without them are not in the
+/// model with them, and 1.3 of 175 in the other direction; 831 of 952 polygons are the same. 0.3 % of the pixels of the
+/// drive are nearer. Without merges by noise, which makes a surface several times over, 4.8 of 320 square metres
+/// differ. When the surfels of walkers stayed, half of the area was lost.
 #[test]
 fn who_walks_through_leaves_nothing() {
     let Some(office) = presight_testkit::data::scene("office_clearpath", true) else { return };
@@ -132,7 +135,8 @@ fn who_walks_through_leaves_nothing() {
     assert!(share(same) > 0.985 && share(nearer) < 0.005, "{} {}", share(same), share(nearer));
 }
 
-/// Parts over 0.3 m that the drive saw are found, and nothing stands where nothing is, within three standard deviations of the ranges and a cell.
+/// Parts over 0.3 m that the drive saw are found, and no surface stands in free space, within three standard deviations
+/// of the ranges and a cell.
 fn check_parts(real: &Environment, found: &Exploration, frames: &[Placed]) {
     const NEAR: f64 = 0.03 + 0.025;
     let polygons = |model: &Environment| {
@@ -168,7 +172,8 @@ fn check_parts(real: &Environment, found: &Exploration, frames: &[Placed]) {
     assert!(in_air(&all) <= 1 && off * 500 < sum, "{} {off} of {sum}", in_air(&all));
 }
 
-/// Measured: 97.3 % of the pixels of another drive that show something known are confirmed (98.1 % after a minute of driving).
+/// Measured: 97.3 % of the pixels of another drive that show something known are confirmed (98.1 % after a minute of
+/// driving).
 #[test]
 fn an_office_is_explored_from_four_rough_walls() {
     let Some(office) = presight_testkit::data::scene("office_clearpath", true) else { return };

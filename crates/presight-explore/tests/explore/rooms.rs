@@ -1,4 +1,4 @@
-//! Simulated rooms whose truth is known by hand.
+//! Simulated rooms with hand-computed surfaces.
 
 use glam::{DVec3, Vec3};
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
@@ -70,7 +70,7 @@ fn a_window_stays_open() {
     let around = |y: f64, z: f64| is_blocked(found.environment(), DVec3::new(1.0, y, z), DVec3::new(2.1, y, z));
     assert!(around(0.6, 0.0) && around(-0.6, 0.0) && around(0.0, 0.6) && around(0.0, -0.6));
     assert_eq!(blocked(found.environment()), 0);
-    // The border of the window was seen through; how the wall goes on at its sides was not seen.
+    // Rays passed at the border of the window; the wall beyond its sides was unobserved.
     assert!(found.areas.open > 0.05 && found.areas.unseen > 0.05, "{:?}", found.areas);
     // A filled hole is found.
     let mut filled = found.environment().clone();
@@ -92,7 +92,7 @@ fn a_rough_model_is_corrected_and_keeps_its_paths() {
     let object = |name: &str| found.environment().object(name).unwrap().world_bounds();
     let (wall, floor) = (object("building/wall"), object("building/floor"));
     assert!((wall.min.x - 2.0).abs() < 0.01, "{}", wall.min);
-    // What nobody saw keeps its thickness.
+    // The unobserved side keeps its thickness.
     assert!((wall.max.x - 2.2).abs() < 0.01 && (floor.max.z + 1.0).abs() < 0.01, "{} {}", wall.max, floor.max);
     assert!(found.opened > 0.4, "{}", found.opened);
     let front = |y: f64, z: f64| is_blocked(found.environment(), DVec3::new(1.0, y, z), DVec3::new(2.1, y, z));
@@ -120,7 +120,7 @@ fn exploring_on_adds_what_is_new() {
             .iter()
             .any(|o| (0..o.mesh.polygon_count() as u32).any(|k| o.polygon_in_world(k).into_iter().any(is_front)))
     );
-    // Nothing is rebuilt: known surfaces keep their bits, but for openings.
+    // Known surfaces keep their bits, except for openings.
     for later in [&again, &next] {
         let known = found.environment().objects().iter().filter(|o| !o.is_deleted());
         let pairs: Vec<_> = known.map(|o| (o, later.environment().object(&o.name).unwrap())).collect();

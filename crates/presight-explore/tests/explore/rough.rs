@@ -45,11 +45,12 @@ fn a_rough_model_in_millimetres_is_refused() {
     let (kind, said) = (refused.kind(), refused.to_string());
     assert!(kind == ErrorKind::Invalid && said.contains("in metres") && said.contains("4600.0 x 3800.0"), "{said}");
     assert!(!said.contains('\n') && clock.elapsed().as_secs() < 30, "{said}");
-    // The same model in metres is taken.
+    // The model in metres is accepted.
     assert!(explored(&turned(DMat3::IDENTITY)).unwrap().unexplained < 0.1);
 }
 
-/// Wrong surfaces are opened and real ones found: the model predicts as well as one from nothing.
+/// Wrong surfaces are opened and real ones found: the predictions are as good as those of a model without prior
+/// knowledge.
 #[test]
 fn a_mirrored_room_and_another_building_become_this_room() {
     let mut hall = empty();

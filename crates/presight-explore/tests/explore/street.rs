@@ -1,4 +1,5 @@
-//! A sensor whose points lie decimetres apart: one scan of a real street predicts the next, and unseen places stay open.
+//! A sensor whose points lie decimetres apart: one scan of a real street predicts the next, and unseen places stay
+//! open.
 
 use glam::DVec3;
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
@@ -18,8 +19,8 @@ fn explored(scan: &Placed, polygons: usize) -> Exploration {
     Exploration::of(&Environment::new(), Known::Explored, &views, &options).unwrap()
 }
 
-/// Measured: 11.1 cm and 72.3 % of scan 1 covered by scan 0; 10.2 cm and 70.7 % the other way. The map that comes with the data, 30,563
-/// triangles of scan 0, has 10.3 cm and 63 %. The aim of 10 cm is missed.
+/// Measured: 11.1 cm and 72.3 % of scan 1 covered by scan 0; 10.2 cm and 70.7 % in the other direction. The map that
+/// comes with the data, 30,563 triangles of scan 0, has 10.3 cm and 63 %. The aim of 10 cm is missed.
 #[test]
 fn one_scan_of_a_street_predicts_the_next() {
     let Some(log) = presight_testkit::data::file("lidar3d") else { return };
@@ -36,7 +37,8 @@ fn one_scan_of_a_street_predicts_the_next() {
     }
 }
 
-/// By hand: a wall 10 m ahead with a window of 4 m, in steps of a degree and a half, 26 cm there. One polygon would do for each side.
+/// By hand: a wall 10 m ahead with a window of 4 m, in steps of a degree and a half, 26 cm there. One polygon would do
+/// for each side.
 #[test]
 fn what_lies_between_rays_far_apart_stays_open() {
     let mut walls = empty();

@@ -18,11 +18,11 @@ const HEIGHT: f64 = 1.2;
 #[derive(Debug)]
 struct Wall {
     name: &'static str,
-    /// Out of the building.
+    /// Unit vector out of the building.
     out: DVec3,
-    /// Where it is along that way, metres.
+    /// Its position along that vector, metres.
     at: f64,
-    /// Places before it from which the way to it is free.
+    /// Places in front of it with a free line of sight.
     before: Vec<DVec3>,
 }
 
@@ -31,7 +31,8 @@ fn shell() -> Aabb {
     Aabb { min: DVec3::new(-13.764, -10.519, 0.0), max: DVec3::new(27.860, 12.223, 2.515) }
 }
 
-/// The outermost walls: places where ten of 400 level rays end within a centimetre, which start 2, 4, .. m inside the shell's bounds.
+/// The outermost walls: places where ten of 400 level rays end within a centimetre, which start 2, 4, .. m inside the
+/// shell's bounds.
 fn outer_walls(real: &Environment) -> [Wall; 4] {
     let (bounds, oracle) = (shell(), Oracle::new(real, DVec3::ZERO).unwrap());
     let sides =
@@ -56,7 +57,8 @@ fn outer_walls(real: &Environment) -> [Wall; 4] {
     })
 }
 
-/// The walls as boxes 20 cm thick: those in the west and in the south are 10 cm too far in, the others 10 cm too far out.
+/// The walls as boxes 20 cm thick: those in the west and in the south are 10 cm too far in, the others 10 cm too far
+/// out.
 fn rough_walls(walls: &[Wall]) -> Environment {
     let (bounds, mut rough) = (shell(), empty());
     for Wall { name, out, at, .. } in walls {
@@ -79,8 +81,8 @@ fn lidar() -> Sensor {
     Sensor::new(spec.with_noise(Noise { range_sigma: 0.01, ..Noise::default() })).unwrap()
 }
 
-/// How far off a wall's inside is, where level rays from before it meet the real wall, rising, metres. The wall alone counts: a new
-/// surface before it would be no correction.
+/// Errors of a wall's inside at the level rays that meet the real wall, ascending, metres. Only the wall itself is
+/// tested: a new surface in front of it would be no correction.
 fn off(real: &Environment, model: &Environment, wall: &Wall) -> Vec<f64> {
     let object = model.object(wall.name).unwrap();
     let mut alone = empty();
@@ -94,7 +96,8 @@ fn off(real: &Environment, model: &Environment, wall: &Wall) -> Vec<f64> {
     off
 }
 
-/// Measured: 97 % of the places in the west and all others are within a centimetre, half of them within half a millimetre.
+/// Measured: 97 % of the places in the west and all others are within a centimetre, half of them within half a
+/// millimetre.
 #[test]
 fn rough_walls_of_an_office_move_to_where_they_are() {
     let Some(office) = presight_testkit::data::scene("office_clearpath", true) else { return };

@@ -45,8 +45,8 @@ impl<'a> Image<'a> {
         Self { sensor, image_from_body: sensor.body_from_image().transpose(), kind }
     }
 
-    /// Returns the share of the segment between two points (body frame) at which a scanner sees it highest or lowest, if
-    /// that is between the ends.
+    /// Returns the share of the segment between two points (body frame) at which a scanner sees it highest or lowest,
+    /// if that is between the ends.
     pub fn culmination_share(&self, from: DVec3, to: DVec3) -> Option<f64> {
         if !matches!(self.kind, Kind::Beams(_) | Kind::Scanner) {
             return None;

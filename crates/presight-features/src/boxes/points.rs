@@ -122,7 +122,8 @@ fn patch(
     let one = [visible.pixels];
     let windows = if seen.windows.is_empty() { &one[..] } else { &seen.windows[..] };
     let windows: Vec<PatchWindow> = windows.iter().map(|seen| PatchWindow::of(image, *seen)).collect();
-    // Parts outside the image are not listed as hidden, so all of a patch is visible only if its corners are in the image.
+    // Parts outside the image are not listed as hidden, so all of a patch is visible only if its corners are in the
+    // image.
     let (w, h) = image.size();
     let inside_image = |corner: &DVec3| {
         let at = image.project(uncertain.nominal(&BodyPoint::rigid(*corner)).p);

@@ -2,8 +2,9 @@
 
 use super::FeatureKind;
 use super::effort::{Effort, steps};
+use super::line::Line;
 use super::soup::{Soup, clip, grown, sides};
-use super::wings::{Line, creased, join, sectors};
+use super::wings::{creased, join, sectors};
 use glam::DVec3;
 use presight_model::error::Result;
 use presight_model::geometry::Aabb;

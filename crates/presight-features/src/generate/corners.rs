@@ -1,9 +1,9 @@
 //! Corners: points where edges of different directions meet.
 
 use super::effort::{Effort, steps};
+use super::line::Line;
 use super::lines::{Nearness, index_of, query};
 use super::soup::grown;
-use super::wings::Line;
 use glam::DVec3;
 use presight_model::error::Result;
 use presight_model::geometry::Aabb;

@@ -272,15 +272,15 @@ mod tests {
 
     #[test]
     fn the_watch_is_told_of_every_stage_to_its_end() {
-        let told = Mutex::new(Vec::new());
-        let watch = |progress: Progress| told.lock().unwrap().push(progress);
+        let reports = Mutex::new(Vec::new());
+        let watch = |progress: Progress| reports.lock().unwrap().push(progress);
         let environment = tiles(20);
         let watched = generate_with_progress(&environment, "video", &GenerateOptions::default(), &watch).unwrap();
         assert_eq!(watched, generate(&environment, "video", &GenerateOptions::default()).unwrap());
-        let told = told.into_inner().unwrap();
-        assert!(told.iter().all(|p| p.done <= p.of));
+        let reports = reports.into_inner().unwrap();
+        assert!(reports.iter().all(|p| p.done <= p.of));
         for stage in ["crossings", "edges", "checking features"] {
-            let of_stage: Vec<_> = told.iter().filter(|p| p.stage == stage).collect();
+            let of_stage: Vec<_> = reports.iter().filter(|p| p.stage == stage).collect();
             assert!(of_stage[0].done == 0 && of_stage.iter().any(|p| p.done == p.of), "{stage}: {of_stage:?}");
             assert!(of_stage.len() <= TOLD * 2 + 2, "{stage}: {}", of_stage.len());
         }

@@ -4,8 +4,7 @@
 //! are farther apart, so both are kept.
 
 use super::effort::{Effort, Steps, steps};
-use super::soup::grown;
-use super::wings::Line;
+use super::line::{Line, boxes_along};
 use glam::DVec3;
 use presight_model::environment::Environment;
 use presight_model::error::Result;
@@ -89,10 +88,10 @@ fn merged_of_object(
             thing.spend(steps::FOUND * near.len(), || line.start)?;
             let before = (from, to, near.len());
             // Whatever lies on the line comes first: it decides where the line ends.
-            for most_off in [same, touch] {
+            for max_off in [same, touch] {
                 near.retain(|(o, part)| {
                     let common = part.to.min(to) - part.from.max(from);
-                    let joins = common >= -touch && part.off <= if common > touch { same } else { most_off };
+                    let joins = common >= -touch && part.off <= if common > touch { same } else { max_off };
                     if joins {
                         taken[*o as usize] = true;
                         (from, to) = (from.min(part.from), to.max(part.to));
@@ -113,19 +112,6 @@ fn merged_of_object(
     }
     all.sort_by_key(|(seed, _)| *seed);
     Ok(all.into_iter().map(|(_, line)| line).collect())
-}
-
-/// Boxes that together hold a line with a margin. A slanting line gets several, since one box would be wide.
-pub(super) fn boxes_along(line: &Line, margin: f64) -> impl Iterator<Item = Aabb> + '_ {
-    let mut extents = (line.end - line.start).abs().to_array();
-    extents.sort_by(f64::total_cmp);
-    // Maximum width of a box across its longest side, metres.
-    const WIDE: f64 = 1.0;
-    let count = (extents[1] / WIDE).ceil().clamp(1.0, 256.0);
-    (0..count as u32).map(move |k| {
-        let at = |k: f64| line.start.lerp(line.end, k / count);
-        grown(&Aabb::of([at(f64::from(k)), at(f64::from(k + 1))]), margin)
-    })
 }
 
 /// Ids of the lines near a line, sorted, without duplicates.

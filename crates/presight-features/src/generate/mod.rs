@@ -18,8 +18,10 @@ mod candidates;
 mod corners;
 mod drafts;
 mod effort;
+mod line;
 mod lines;
 mod patches;
+mod placing;
 mod scanned;
 mod smooth;
 mod solids;
@@ -30,6 +32,7 @@ use drafts::{Draft, by_place, ordered};
 use effort::Effort;
 pub use effort::Progress;
 use glam::DMat3;
+use line::Line;
 use presight_model::environment::{
     DEFAULT_TOLERANCE, Environment, Existence, Feature, FeatureLayer, FeatureShape, Properties,
 };
@@ -38,54 +41,28 @@ use presight_model::geometry::Aabb;
 use presight_model::threads::parallel;
 use rayon::prelude::*;
 use std::sync::Arc;
-use wings::{EdgeClass, EdgeClassifier, Line, Scratch};
+use wings::{EdgeClass, EdgeClassifier, Scratch};
 
-/// Kind of a generated feature. It becomes the feature's name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum FeatureKind {
-    /// Two surfaces meet at an angle.
-    Crease,
-    /// A surface ends.
-    Border,
-    /// A surface continues in a different material.
-    Material,
-    /// Two polygons cross, away from the sides of both.
-    Intersection,
-    /// Edges in different directions meet in a point.
-    Corner,
-    /// A vertical planar patch.
-    Vertical,
-    /// A horizontal planar patch.
-    Horizontal,
-    /// A smooth surface with visible silhouettes.
-    Contour,
-}
-
-impl FeatureKind {
-    /// Every kind.
-    pub const ALL: [Self; 8] = [
-        Self::Crease,
-        Self::Border,
-        Self::Material,
-        Self::Intersection,
-        Self::Corner,
-        Self::Vertical,
-        Self::Horizontal,
-        Self::Contour,
-    ];
-
-    /// The name in flags and files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Crease => "crease",
-            Self::Border => "border",
-            Self::Material => "material",
-            Self::Intersection => "intersection",
-            Self::Corner => "corner",
-            Self::Vertical => "vertical",
-            Self::Horizontal => "horizontal",
-            Self::Contour => "contour",
-        }
+presight_model::words! {
+    /// Kind of a generated feature. It becomes the feature's name.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+    pub enum FeatureKind {
+        /// Two surfaces meet at an angle.
+        Crease = "crease",
+        /// A surface ends.
+        Border = "border",
+        /// A surface continues in a different material.
+        Material = "material",
+        /// Two polygons cross, away from the sides of both.
+        Intersection = "intersection",
+        /// Edges in different directions meet in a point.
+        Corner = "corner",
+        /// A vertical planar patch.
+        Vertical = "vertical",
+        /// A horizontal planar patch.
+        Horizontal = "horizontal",
+        /// A smooth surface with visible silhouettes.
+        Contour = "contour",
     }
 }
 
@@ -273,7 +250,7 @@ fn generate_checked(
         drafts.extend(wanted.map(Draft::from));
     }
     drafts.extend(smooth.into_iter().flat_map(|s| s.drafts));
-    let drafts = drafts::on_the_surface(&soup, drafts, options.min_area, &mut counts.off, effort)?;
+    let drafts = placing::on_the_surface(&soup, drafts, options.min_area, &mut counts.off, effort)?;
     let layer = FeatureLayer {
         tolerance: (scanned::LAYER * flatness).max(DEFAULT_TOLERANCE),
         ..layer_of(environment, class, options, drafts, &mut counts)

@@ -20,6 +20,12 @@ pub(super) struct Patch {
     pub normal: DVec3,
 }
 
+impl From<Patch> for Draft {
+    fn from(p: Patch) -> Self {
+        Self { normal: Some(p.normal), ..Self::new(p.kind, p.object, p.corners) }
+    }
+}
+
 /// Maximum distance of a part's corners from the plane of its patch, metres.
 const PART: f64 = 1e-3;
 

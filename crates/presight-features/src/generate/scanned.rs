@@ -11,7 +11,8 @@ use presight_model::flat::{FlatSurface, FlatSurfaces};
 use presight_model::geometry::Plane;
 
 /// Tolerance of a layer in tolerances of its planes. A cell is half a tolerance wide, and its middle is at most
-/// [`presight_model::flat::FRINGE`] tolerances from a facet, so a corner is within 1.38 tolerances, less than three quarters of this.
+/// [`presight_model::flat::FRINGE`] tolerances from a facet, so a corner is within 1.38 tolerances, less than three
+/// quarters of this.
 pub(super) const LAYER: f64 = 2.0;
 
 /// Rectangles of a plane may have this part of the least area of a plane: an eighth of its sides.

@@ -7,11 +7,10 @@
 
 use super::FeatureKind;
 use super::effort::{Effort, EffortAllowance, steps};
-use super::lines::boxes_along;
+use super::line::{Line, boxes_along};
 use super::soup::{Soup, clip, grown, sides};
 use glam::DVec3;
 use presight_model::error::Result;
-use presight_model::geometry::Aabb;
 use presight_model::index::QueryResult;
 use std::f64::consts::{PI, TAU};
 
@@ -21,36 +20,6 @@ const SAME_WING: f64 = 3.0 * PI / 180.0;
 const NARROW: f64 = 5.0 * PI / 180.0;
 /// A face lies along a line if the sine of their angle is below this. Steeper faces pierce it.
 const ALONG: f64 = 0.05;
-
-/// A straight piece of a possible edge, in the world.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Line {
-    pub start: DVec3,
-    pub end: DVec3,
-    /// The object to which the line belongs.
-    pub object: u32,
-    pub kind: FeatureKind,
-}
-
-impl Line {
-    pub fn length(&self) -> f64 {
-        self.start.distance(self.end)
-    }
-
-    pub fn direction(&self) -> DVec3 {
-        (self.end - self.start).normalize_or_zero()
-    }
-
-    /// The part from `t0` to `t1`, metres from the start.
-    pub fn part(&self, t0: f64, t1: f64) -> Self {
-        let d = self.direction();
-        Self { start: self.start + d * t0, end: self.start + d * t1, ..*self }
-    }
-
-    pub fn bounds(&self) -> Aabb {
-        Aabb::of([self.start, self.end])
-    }
-}
 
 /// The surfaces in one direction.
 #[derive(Clone, Debug, Default)]

@@ -1,4 +1,5 @@
-//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.2, Fig. 10).
+//! Regions of interest: the image box in which a feature will be found with a stated probability (paper section 3.2,
+//! Fig. 10).
 //!
 //! The errors of the sensor's pose, the object's pose and the feature form one standard normal vector, mapped through
 //! square roots of their covariances (`errors`). The feature passes a side of the box when a linear function of that
@@ -18,6 +19,53 @@
 //! If the projection is strongly curved over the range of the errors, neither derivatives nor second-order terms give a
 //! bound. Then samples of the errors with the required probability are projected one at a time (`set`).
 //!
+//! # The paper's Fig. 10
+//!
+//! A robot knows its position to 3 cm in x and y, and its heading to 1 degree. In which columns will it find a vertical
+//! line 4 m ahead that is known to 1 cm? Position errors are divided by the distance; the heading error is not:
+//!
+//! ```
+//! use glam::{DMat3, DVec3};
+//! use presight_model::environment::FeatureShape;
+//! use presight_model::geometry::{Pose, PoseCovariance};
+//! use presight_features::roi::{BodyPoint, FeatureErrorModel, Projection, RoiFlag, roi};
+//!
+//! /// A pinhole camera of 640 x 480 pixels, body axes: x forward, y left, z up.
+//! struct Camera;
+//! impl Projection for Camera {
+//!     fn project(&self, p: DVec3) -> Option<[f64; 2]> {
+//!         (p.x > 0.0).then(|| [319.5 - 500.0 * p.y / p.x, 239.5 - 500.0 * p.z / p.x])
+//!     }
+//!     fn lever(&self, p: DVec3) -> f64 {
+//!         p.x
+//!     }
+//!     fn size(&self) -> (u32, u32) {
+//!         (640, 480)
+//!     }
+//!     fn turn(&self) -> Option<f64> {
+//!         None
+//!     }
+//! }
+//!
+//! let (xy, heading, line) = (0.03, 1f64.to_radians(), 0.01);
+//! let robot = PoseCovariance::from_sigmas([xy, xy, 0.0, 0.0, 0.0, heading]);
+//! let ends = [DVec3::new(4.0, 0.0, -0.6), DVec3::new(4.0, 0.0, 0.6)];
+//! let covariances = [DMat3::from_diagonal(DVec3::splat(line * line)); 2];
+//! let shape = FeatureShape::Segment { ends, covariances, cross: DMat3::ZERO };
+//! let uncertain = FeatureErrorModel::new(&Pose::IDENTITY, &robot, &Pose::IDENTITY, None, &shape)?;
+//! let points = [0.0, 1.0].map(|t| BodyPoint::on_segment(&ends, t));
+//! let found = roi(&Camera, &uncertain, &points, 0.99).expect("it is before the camera");
+//!
+//! let sigma = 500.0 * ((xy * xy + line * line) / 16.0 + heading * heading).sqrt();
+//! let [left, _, right, _] = found.bounds;
+//! // One side alone needs 2.58 sigma. Two ends, top and bottom add a little.
+//! let deviations = 0.5 * (right - left) / sigma;
+//! assert!(2.58 < deviations && deviations < 3.1, "{deviations}");
+//! assert!((0.5 * (left + right) - 319.5).abs() < 0.1);
+//! assert_eq!(found.flag, RoiFlag::Linear);
+//! # Ok::<(), presight_model::Error>(())
+//! ```
+//!
 //! `docs/region_of_interest.svg` shows the widths at other distances.
 
 mod errors;
@@ -31,7 +79,7 @@ pub use exceedance::Level;
 pub use image_point::differences;
 
 // Constants that the shader shares.
-pub use exceedance::{EVENTS, MOST};
+pub use exceedance::{EVENTS, MAX_SIDE_POINTS};
 pub use {
     errors::{ERRORS, KIND},
     image_point::MARGIN,
@@ -45,25 +93,16 @@ use image_point::{ImagePoint, PointDerivatives, dot, rough, see};
 use linear::{bent_bounds, linear_bounds};
 use set::set_bounds;
 
-/// Method by which a box was found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RoiFlag {
-    /// The derivative of the projection propagated the errors.
-    Linear,
-    /// The projection is not linear over the errors, so samples of the errors were projected.
-    Set,
-    /// The feature may be behind the sensor, or anywhere in over half of the image.
-    WholeImage,
-}
-
-impl RoiFlag {
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Linear => "linear",
-            Self::Set => "set",
-            Self::WholeImage => "whole_image",
-        }
+presight_model::words! {
+    /// Method by which a box was found.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum RoiFlag {
+        /// The derivative of the projection propagated the errors.
+        Linear = "linear",
+        /// The projection is not linear over the errors, so samples of the errors were projected.
+        Set = "set",
+        /// The feature may be behind the sensor, or anywhere in over half of the image.
+        WholeImage = "whole_image",
     }
 }
 

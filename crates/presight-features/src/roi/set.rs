@@ -49,7 +49,7 @@ const STANDARD_ERRORS: f64 = 2.0;
 const USED: f64 = 0.8;
 
 /// Beyond this share of a turn the box takes all columns.
-const MOST_OF_A_TURN: f64 = 0.9;
+const ALL_AROUND: f64 = 0.9;
 
 /// The errors that are not 0, in order.
 type ActiveErrors = [f64; ERRORS];
@@ -97,7 +97,7 @@ pub(super) fn set_bounds(
         return None;
     }
     // Near a pole the columns mean nothing, and samples miss some of them by chance.
-    let around = projection.turn().filter(|turn| right + left > MOST_OF_A_TURN * turn);
+    let around = projection.turn().filter(|turn| right + left > ALL_AROUND * turn);
     let Some(turn) = around else { return Some([-left, -top, right, bottom]) };
     // A feature that may surround the axis may also lie on it.
     let pole = |row: f64| projection.pole_near(row).unwrap_or(row);
@@ -122,8 +122,8 @@ struct Draw {
 }
 
 impl<P: Projection> Set<'_, P> {
-    /// The distance by which errors move the feature towards each side; `None` if they move it behind the sensor. Points that leave
-    /// the image elsewhere count where they would be.
+    /// The distance by which errors move the feature towards each side; `None` if they move it behind the sensor.
+    /// Points that leave the image elsewhere count where they would be.
     fn reach(&self, few: &ActiveErrors) -> Option<[f64; 4]> {
         let mut xi = ErrorVector::default();
         for (i, x) in self.used.iter().zip(few) {

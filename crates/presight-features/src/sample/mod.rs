@@ -11,12 +11,13 @@
 mod arc;
 mod patch;
 mod patch_columns;
+mod patch_cone;
 mod row;
 mod run;
 mod straight;
 
-pub(super) use patch::{PatchCone, PatchOutline};
 pub(super) use patch_columns::{Column, PatchColumns};
+pub(super) use patch_cone::{PatchCone, PatchOutline};
 pub(super) use run::{Part, Run};
 
 use super::Reason;

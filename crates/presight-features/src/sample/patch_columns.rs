@@ -1,6 +1,6 @@
 //! Samples a small patch by column. In pinhole cameras and scanners each column sees a straight line of a patch.
 
-use super::patch::{Cells, PatchCone};
+use super::patch_cone::{Cells, PatchCone};
 use glam::{DVec2, DVec3};
 use std::ops::Range;
 

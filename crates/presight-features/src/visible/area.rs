@@ -156,7 +156,8 @@ impl PatchPixels<'_> {
         }
     }
 
-    /// Returns true if the images hold no information for this pixel. The id alone would not tell: it is also 0 for an empty ray.
+    /// Returns true if the images hold no information for this pixel. The id alone would not tell: it is also 0 for an
+    /// empty ray.
     fn is_not_predicted(&self, line: u32, sample: u32) -> bool {
         self.query.frame.options.is_partial && self.query.frame.images.is_open(self.number_at(line, sample))
     }
@@ -176,7 +177,7 @@ impl PatchPixels<'_> {
         if self.query.own.holds(known.slot) {
             return (most <= 1.0 + ON).then_some(SampleState::Seen);
         }
-        let least = self.ranges.map(|range| known.least_share(most, range, rounding));
+        let least = self.ranges.map(|range| known.min_share(most, range, rounding));
         if shares.iter().all(|share| *share > least[0].max(least[1])) {
             return Some(SampleState::Hidden(Reason::Occluded, Some(known.slot)));
         }

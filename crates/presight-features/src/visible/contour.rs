@@ -3,7 +3,7 @@
 use super::strategy::{FeatureQuery, decide};
 use super::surface::FeatureSurface;
 use super::tally::{Tally, share};
-use super::worker::{FeatureResult, Worker, told};
+use super::worker::{FeatureResult, Worker, hidden_intervals};
 use crate::{FeatureStats, Hidden, PlacedFeature, SeenFeature};
 use glam::DMat3;
 use presight_model::contour::{Curve, Surface};
@@ -29,7 +29,7 @@ impl Worker<'_> {
                 return FeatureResult { seen: None, stats, pixels: Vec::new() };
             }
             let visible = std::mem::take(&mut tally.visible);
-            let hidden = told(frame, &tally.hidden, visible.is_empty());
+            let hidden = hidden_intervals(frame, &tally.hidden, visible.is_empty());
             let seen = SeenFeature {
                 branch: Some(branch),
                 points_world: curve.points.iter().map(|p| pose.transform_point(*p)).collect(),

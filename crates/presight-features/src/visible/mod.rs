@@ -40,6 +40,7 @@ mod tiles;
 mod undecided;
 mod windows;
 mod worker;
+pub(crate) mod workspaces;
 
 use super::tree::{FeatureTree, check_placed, newest};
 use super::{FeaturePrediction, Hidden, PlacedFeature, Reason, STEP, Vantage};
@@ -55,9 +56,7 @@ use presight_model::threads::parallel;
 use presight_model::world::World;
 use presight_render::plan::{IdScheme, Images};
 use rayon::prelude::*;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use strategy::Workspace;
-use worker::Worker;
+use workspaces::IdleWorkspaces;
 
 /// The method that decides visibility.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -82,8 +81,8 @@ pub struct FeatureSettings {
     pub hidden: Hidden,
     /// The method that decides visibility.
     pub visibility: Visibility,
-    /// Maximum length of a feature's image per sample, 0.001 pixels to [`STEP`]. Finer steps make visible fractions more
-    /// precise and take longer. A patch that covers more than 1,024 pixels is sampled at its pixels. With
+    /// Maximum length of a feature's image per sample, 0.001 pixels to [`STEP`]. Finer steps make visible fractions
+    /// more precise and take longer. A patch that covers more than 1,024 pixels is sampled at its pixels. With
     /// [`Visibility::Rays`] a patch has up to 4,096 samples, and up to 64 times that number with finer steps.
     pub step: f64,
     /// A deadline left the images incomplete: pixels with NaN and id 0 hold no information. Large patches, which the
@@ -184,7 +183,8 @@ pub enum OcclusionHint {
 }
 
 impl<'a> PreparedFeatures<'a> {
-    /// Prepares features. Features given with a tree and with the surfaces of contours were already checked against the world.
+    /// Prepares features. Features given with a tree and with the surfaces of contours were already checked against the
+    /// world.
     ///
     /// # Errors
     /// The errors of [`predict_features`].
@@ -356,78 +356,3 @@ fn length_through(frame: &VisibilityContext<'_>, points: &[DVec3]) -> f64 {
 
 /// Minimum number of features per parallel task.
 const BATCH: usize = 32;
-
-/// Idle workspaces. Within a prediction they keep their polygons and tiles for the next task of the thread pool.
-#[derive(Default)]
-struct IdleWorkspaces {
-    idle: Mutex<Vec<Workspace>>,
-    /// Keeps them between predictions.
-    memory: WorkspaceMemory,
-}
-
-/// Workspaces kept between predictions to reuse their memory.
-#[derive(Clone, Default)]
-pub(crate) struct WorkspaceMemory(Arc<Mutex<Vec<Workspace>>>);
-
-impl std::fmt::Debug for WorkspaceMemory {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("WorkspaceMemory").finish_non_exhaustive()
-    }
-}
-
-fn lock(workspaces: &Mutex<Vec<Workspace>>) -> MutexGuard<'_, Vec<Workspace>> {
-    workspaces.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-impl IdleWorkspaces {
-    fn new(memory: WorkspaceMemory) -> Self {
-        Self { idle: Mutex::default(), memory }
-    }
-
-    /// Returns an idle workspace of this prediction, or a new one.
-    fn take(&self, frame: &VisibilityContext<'_>) -> Workspace {
-        let known = lock(&self.idle).pop();
-        known.unwrap_or_else(|| match lock(&self.memory.0).pop() {
-            Some(mut workspace) => {
-                workspace.renew(frame);
-                workspace
-            }
-            None => Workspace::new(frame),
-        })
-    }
-
-    fn give(&self, workspace: Workspace) {
-        lock(&self.idle).push(workspace);
-    }
-
-    fn wake<'j, 'a>(&'j self, frame: &'a VisibilityContext<'a>) -> WorkerGuard<'j, 'a> {
-        WorkerGuard { worker: None, frame, of: self }
-    }
-}
-
-impl Drop for IdleWorkspaces {
-    fn drop(&mut self) {
-        lock(&self.memory.0).append(&mut lock(&self.idle));
-    }
-}
-
-/// A worker that returns its workspace when dropped.
-struct WorkerGuard<'j, 'a> {
-    worker: Option<Worker<'a>>,
-    frame: &'a VisibilityContext<'a>,
-    of: &'j IdleWorkspaces,
-}
-
-impl<'a> WorkerGuard<'_, 'a> {
-    fn worker(&mut self) -> &mut Worker<'a> {
-        self.worker.get_or_insert_with(|| Worker { frame: self.frame, workspace: self.of.take(self.frame) })
-    }
-}
-
-impl Drop for WorkerGuard<'_, '_> {
-    fn drop(&mut self) {
-        if let Some(worker) = self.worker.take() {
-            self.of.give(worker.workspace);
-        }
-    }
-}

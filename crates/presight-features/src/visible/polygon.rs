@@ -59,7 +59,7 @@ impl PreparedPolygon {
         if !(share > 1.0 + rounding / range + 8.0 * f64::EPSILON) {
             return RelativeDepth::No;
         }
-        let least = self.least_share(share, range, rounding);
+        let least = self.min_share(share, range, rounding);
         if share > least {
             RelativeDepth::Yes
         } else if least.is_finite() {
@@ -78,13 +78,13 @@ impl PreparedPolygon {
     pub fn hides_all(&self, least: f64, far: f64, rounding: f64) -> bool {
         // No point behind the polygon is nearer than its plane.
         let near = self.inverse.length().recip();
-        let bound = [near, far].map(|range| self.least_share(least, range, rounding));
+        let bound = [near, far].map(|range| self.min_share(least, range, rounding));
         least > bound[0].max(bound[1]) * (1.0 + 8.0 * f64::EPSILON)
     }
 
     /// The share above which the polygon is nearer.
     #[inline]
-    pub fn least_share(&self, share: f64, range: f64, rounding: f64) -> f64 {
+    pub fn min_share(&self, share: f64, range: f64, rounding: f64) -> f64 {
         1.0 + rounding / range + 8.0 * f64::EPSILON + self.off[0] * range + self.off[1] * share
     }
 }

@@ -21,7 +21,7 @@ pub(super) struct HiddenPart {
 }
 
 impl HiddenPart {
-    pub fn told(&self, frame: &VisibilityContext<'_>) -> HiddenInterval {
+    pub fn interval(&self, frame: &VisibilityContext<'_>) -> HiddenInterval {
         let Self { t, reason, slot } = *self;
         HiddenInterval { t, reason, by: slot.and_then(|slot| frame.occluder(slot)) }
     }

@@ -70,7 +70,7 @@ impl Worker<'_> {
         let is_whole = || hidden.is_empty() && in_image.points.iter().all(is_inside);
         let windows = tally.windows.take().filter(|_| !visible.is_empty() && !is_whole());
         let windows = windows.map(|windows| seen_in(windows, &query, workspace)).unwrap_or_default();
-        let hidden = told(frame, &hidden, visible.is_empty());
+        let hidden = hidden_intervals(frame, &hidden, visible.is_empty());
         let seen = SeenFeature {
             visible_fraction: share(tally.seen, tally.inside),
             visible,
@@ -85,12 +85,16 @@ impl Worker<'_> {
 }
 
 /// The hidden parts to report: if all of the feature is hidden and only the reason is requested, the last reason alone.
-pub(super) fn told(frame: &VisibilityContext<'_>, hidden: &[HiddenPart], is_unseen: bool) -> Vec<HiddenInterval> {
+pub(super) fn hidden_intervals(
+    frame: &VisibilityContext<'_>,
+    hidden: &[HiddenPart],
+    is_unseen: bool,
+) -> Vec<HiddenInterval> {
     if frame.options.hidden == Hidden::Reason && is_unseen {
         let last = hidden.iter().map(|h| h.reason).max();
         return last.map(|reason| HiddenInterval { t: [0.0, 1.0], reason, by: None }).into_iter().collect();
     }
-    hidden.iter().map(|part| part.told(frame)).collect()
+    hidden.iter().map(|part| part.interval(frame)).collect()
 }
 
 /// The windows of a patch, grown along its visible sides: between samples, a patch is seen up to its outline.

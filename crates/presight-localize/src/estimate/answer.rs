@@ -2,7 +2,7 @@
 
 use super::deviation::SeenDeviation;
 use super::normal::{CommonError, Freedom, Normal};
-use crate::extract::Findings;
+use crate::extract::FeatureFindings;
 use crate::verdict::Verdicts;
 use presight_model::geometry::{InObject, Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{
@@ -53,7 +53,7 @@ pub struct Estimate {
     /// Verdicts on each frame of ranges; empty if no frame measured anything.
     pub verdicts: Vec<Verdicts>,
     /// What each grey image, and each scan with intensities, shows of predicted features.
-    pub findings: Vec<Findings>,
+    pub findings: Vec<FeatureFindings>,
     /// Reflectors that the pose explains, and those that were matched.
     pub reflectors: (usize, usize),
     /// Share of the measured points that the prediction explains.

@@ -1,4 +1,4 @@
-//! Steps of Gauss and Newton from a start to rest, within one prediction.
+//! Gauss-Newton steps from a start to rest, within one prediction.
 
 use super::image::ImageSource;
 use super::normal::{Freedom, Normal};
@@ -9,7 +9,7 @@ use super::{Gate, Kernel, Residuals};
 use crate::motion::{Vector, motion_between, moved};
 use crate::verdict::{ExpectedImage, body_from_image};
 use presight_model::geometry::Pose;
-use presight_model::matrix::{add_to, apply, inverse, quadratic, restricted};
+use presight_model::matrix::quadratic;
 use std::sync::Arc;
 
 /// Points that the wide search looks at.
@@ -163,15 +163,10 @@ fn sources<'a>(run: &'a Run<'_>, expected: &'a [ExpectedImage]) -> Vec<RangeSour
     expected.iter().zip(&run.measured).map(source).collect()
 }
 
-/// The step of Gauss and Newton, the prior's residual included.
+/// The Gauss-Newton step, with the prior.
 fn step(normal: &Normal, run: &Run<'_>, pose: &Pose, freedom: Freedom) -> Vector {
-    let axes = freedom.axes();
-    let (mut h, mut g) = (restricted(&normal.information, axes), normal.gradient);
     let off = motion_between(&run.prior.world_from_robot, pose);
-    add_to(&mut h, &run.prior_information);
-    let pull = apply(&run.prior_information, &off);
-    (0..6).for_each(|i| g[i] += pull[i]);
-    apply(&inverse(&h, axes), &g).map(|x| -x)
+    normal.equations().step(&run.prior_information, &off, freedom.axes()).0
 }
 
 /// True if a prediction serves for estimates at a pose: it shows what is seen from there but for a part of a pixel. What is found of

@@ -1,7 +1,7 @@
 //! Grey images and reflectors of scans in an estimate: features are predicted at a pose, looked for in their regions, and become residuals.
 
 use super::image::{ImageSource, SeenPoint, SeenSegment};
-use crate::extract::{FindOptions, Findings, find_features};
+use crate::extract::{FeatureFindings, FindOptions, find_features};
 use crate::matching::{Shape, UncertainValue};
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use presight_features::{BoxOptions, FeatureOptions, FeatureSource};
@@ -57,7 +57,7 @@ pub(super) fn find_at(
     frame: &Frame,
     robot: &PoseEstimate,
     unstated: f64,
-) -> Result<Findings> {
+) -> Result<FeatureFindings> {
     let sensor = frame.sensor();
     let is_scan = frame.grey().is_none();
     let class = &sensor.spec().class;
@@ -104,7 +104,7 @@ fn place_of(world: &World, feature: &Feature) -> DMat3 {
 }
 
 /// How far a point or a fiducial may be from where the model has it: by what the layer says, and as surfaces may.
-pub(super) fn place_error(findings: &[Findings], id: u32, offset: f64) -> Matrix {
+pub(super) fn place_error(findings: &[FeatureFindings], id: u32, offset: f64) -> Matrix {
     let known = findings.iter().flat_map(|f| &f.features).find(|f| f.id == id).map(|f| f.place).unwrap_or(DMat3::ZERO);
     let own =
         |i: usize, j: usize| if i < 3 && j < 3 { known.col(j)[i] + if i == j { offset } else { 0.0 } } else { 0.0 };
@@ -113,7 +113,7 @@ pub(super) fn place_error(findings: &[Findings], id: u32, offset: f64) -> Matrix
 
 impl<'a> ImageSource<'a> {
     /// A source of the features that were matched in the image of a sensor.
-    pub fn of_findings(sensor: &'a Sensor, findings: &Findings) -> Self {
+    pub fn of_findings(sensor: &'a Sensor, findings: &FeatureFindings) -> Self {
         let (mut points, mut segments) = (Vec::new(), Vec::new());
         let calibration = CALIBRATION * CALIBRATION;
         for (feature, detection) in findings.matched() {

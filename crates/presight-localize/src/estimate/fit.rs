@@ -6,7 +6,7 @@ use super::{Gate, Kernel, Residuals, WeakDirection, prior};
 use crate::motion::{motion_between, moved};
 use presight_model::error::Result;
 use presight_model::geometry::{PoseCovariance, PoseEstimate, RobotPose};
-use presight_model::matrix::{add_to, apply, inverse, restricted};
+use presight_model::matrix::inverse;
 
 /// A pose, and how well it is known.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,11 +55,8 @@ pub fn fit(sources: &[&dyn Residuals], known: &PoseEstimate, freedom: Freedom) -
                 explained: (normal.explained, normal.measured),
             });
         }
-        let (mut h, mut g) = (restricted(&normal.information, axes), normal.gradient);
-        add_to(&mut h, &information);
-        let pull = apply(&information, &motion_between(&known.world_from_robot, &pose));
-        (0..6).for_each(|i| g[i] += pull[i]);
-        pose = moved(&pose, &apply(&inverse(&h, axes), &g).map(|x| -x));
+        let off = motion_between(&known.world_from_robot, &pose);
+        pose = moved(&pose, &normal.equations().step(&information, &off, axes).0);
         factor = (0.7 * factor).max(0.1);
     }
     unreachable!("the last step returns")

@@ -26,7 +26,7 @@ pub use deviation::SeenDeviation;
 pub use fit::{Fit, fit};
 pub use image::{ImageSource, SeenPoint, SeenSegment};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};
-pub use options::{EstimateOptions, Preset};
+pub use options::EstimateOptions;
 pub(crate) use range::after_middle;
 pub use range::{MeasuredPoint, RangeSource, measured_points};
 pub use solve::Estimator;

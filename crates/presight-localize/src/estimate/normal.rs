@@ -2,7 +2,7 @@
 
 use super::Kernel;
 use super::deviation::SeenDeviation;
-use crate::motion::Vector;
+use crate::motion::{NormalEquations, Vector};
 use presight_model::matrix::{Matrix, add_to};
 use std::collections::BTreeMap;
 
@@ -71,6 +71,11 @@ impl GroupSum {
 }
 
 impl Normal {
+    /// The normal equations alone.
+    pub(super) fn equations(&self) -> NormalEquations {
+        NormalEquations { information: self.information, gradient: self.gradient }
+    }
+
     /// Adds a residual with its derivatives, both in standard deviations. `wide` is the gate in standard deviations. Returns the
     /// weight that it got.
     pub(super) fn add_residual(&mut self, e: f64, j: &Vector, wide: f64, kernel: Kernel) -> f64 {

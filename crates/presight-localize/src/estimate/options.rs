@@ -72,6 +72,11 @@ impl EstimateOptions {
         Self { model_sigma, learns_sigma: false, ..self }
     }
 
+    /// The options for a kind of sensor: `indoor_scanner`, `depth_camera` or `lidar_3d`.
+    pub fn preset(name: &str) -> Option<Self> {
+        Preset::ALL.into_iter().find(|preset| preset.name() == name).map(Preset::options)
+    }
+
     /// The options that go with a sensor.
     pub fn of(sensor: &Sensor) -> Self {
         Preset::of(sensor).options()
@@ -88,7 +93,7 @@ impl EstimateOptions {
 
 /// Kinds of sensors, each with its options.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Preset {
+enum Preset {
     /// A level scanner of one row on a level floor.
     IndoorScanner,
     /// A depth camera, or a scanner of some rows, in any pose.
@@ -98,11 +103,10 @@ pub enum Preset {
 }
 
 impl Preset {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::IndoorScanner, Self::DepthCamera, Self::Lidar3d];
+    const ALL: [Self; 3] = [Self::IndoorScanner, Self::DepthCamera, Self::Lidar3d];
 
     /// The name in commands.
-    pub fn name(self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
             Self::IndoorScanner => "indoor_scanner",
             Self::DepthCamera => "depth_camera",
@@ -120,7 +124,7 @@ impl Preset {
     }
 
     /// The options of an estimator.
-    pub fn options(self) -> EstimateOptions {
+    fn options(self) -> EstimateOptions {
         match self {
             Self::IndoorScanner => EstimateOptions::planar(),
             Self::DepthCamera => EstimateOptions::default(),

@@ -3,7 +3,7 @@
 use super::descent::{SEARCH, SETTLE, descend, images};
 use super::normal::Freedom;
 use super::run::{Expectation, LEAD, Minimum, Run};
-use crate::extract::Findings;
+use crate::extract::FeatureFindings;
 use crate::motion::{Vector, motion_between};
 use presight_model::geometry::Pose;
 use std::collections::BTreeSet;
@@ -40,7 +40,7 @@ pub(super) fn hold(counts: (usize, usize)) -> bool {
 
 /// What was found, as if these reflectors had not been matched.
 fn without(expected: &Expectation, ids: &BTreeSet<u32>) -> Arc<Expectation> {
-    let less = |f: &Findings| ids.iter().fold(f.clone(), |f, id| f.without(*id));
+    let less = |f: &FeatureFindings| ids.iter().fold(f.clone(), |f, id| f.without(*id));
     Arc::new(Expectation { images: expected.images.clone(), findings: expected.findings.iter().map(less).collect() })
 }
 

@@ -4,7 +4,7 @@ use super::answer::Hypothesis;
 use super::normal::Normal;
 use super::range::MeasuredPoint;
 use super::solve::length;
-use crate::extract::Findings;
+use crate::extract::FeatureFindings;
 use crate::motion::{motion_between, moved};
 use crate::verdict::ExpectedImage;
 use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
@@ -29,7 +29,7 @@ pub(super) struct Expectation {
     /// Of each frame of ranges.
     pub(super) images: Vec<ExpectedImage>,
     /// What each grey image, and each scan with intensities, shows of the features that were predicted.
-    pub(super) findings: Vec<Findings>,
+    pub(super) findings: Vec<FeatureFindings>,
 }
 
 /// Where an iteration came to rest.

@@ -11,7 +11,7 @@ use super::prior;
 use super::range::measured_points;
 use super::reflectors::{MatchedReflectors, hold, other_camp};
 use super::run::{Expectation, FrameMeasurement, Minimum, Run};
-use crate::extract::{Findings, MeasuredRanges};
+use crate::extract::{FeatureFindings, MeasuredRanges};
 use crate::matching::Shape;
 use crate::motion::{Vector, motion_between};
 use crate::verdict::{ExpectedImage, Surfaces, Verdicts, body_from_image, judge};
@@ -275,7 +275,7 @@ impl Estimator {
         let unstated = run.model_sigma.hypot(run.offset_sigma);
         let what = (run.world, &self.features);
         let find = |frame: &&Frame| find_at(&mut self.predictor, what, frame, robot, unstated);
-        let findings = run.looked.iter().map(find).collect::<Result<Vec<Findings>>>()?;
+        let findings = run.looked.iter().map(find).collect::<Result<Vec<FeatureFindings>>>()?;
         Ok(Arc::new(Expectation { images, findings }))
     }
 
@@ -337,7 +337,8 @@ impl Estimator {
             CommonError::Place(feature) => place(feature),
             CommonError::Turn => restricted(&sandwich(&turn(best.pose.rotation), &self.twist_error), freedom.axes()),
         };
-        let matched = best.expected.findings.iter().flat_map(Findings::matched).flat_map(|(f, _)| &f.points_world);
+        let matched =
+            best.expected.findings.iter().flat_map(FeatureFindings::matched).flat_map(|(f, _)| &f.points_world);
         let reach = reach_of(&run.measured, matched.map(|p| p.distance_squared(best.pose.translation)));
         let prior = Some(&run.prior_information);
         let mut covariance = covariance(&best.normal, prior, freedom, best.spread, &shared);
@@ -405,7 +406,7 @@ impl Estimator {
         if !run.has_greys_only() {
             return None;
         }
-        let matched = || best.expected.findings.iter().flat_map(Findings::matched);
+        let matched = || best.expected.findings.iter().flat_map(FeatureFindings::matched);
         let tags = matched().filter(|(f, _)| matches!(f.predicted, Shape::Fiducial(_))).count();
         let (matched, (fewest, fewest_tags)) = (matched().count(), FEWEST);
         if matched < fewest && tags < fewest_tags {
@@ -424,7 +425,7 @@ impl Estimator {
         let freedom = self.options.freedom;
         let claimed = inverse(covariance, freedom.axes());
         let most = chi_squared_quantile(freedom.axes().len() as u32, UNLIKELY.1);
-        let matched = best.expected.findings.iter().flat_map(Findings::matched);
+        let matched = best.expected.findings.iter().flat_map(FeatureFindings::matched);
         let tags = matched.filter(|(f, _)| matches!(f.predicted, Shape::Fiducial(_)) && run.has_greys_only());
         let without = |id: u32| {
             let findings = best.expected.findings.iter().map(|f| f.without(id)).collect();

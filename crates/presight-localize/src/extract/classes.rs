@@ -84,12 +84,12 @@ pub(super) fn unmatched(counts: &[usize; 7]) -> FeatureClass {
     }
 }
 
-/// Counts verdicts, by [`Verdict::ALL`], along both sides of an image segment at a distance of `beside` pixels: on an
+/// Counts verdicts, by [`Verdict::ALL`], along both sides of an image segment at a distance of `aside` pixels: on an
 /// edge itself, hardly any verdict is certain. Both images must have the same pixels.
-pub fn verdicts_along(verdicts: &Verdicts, ends: [DVec2; 2], beside: f64) -> [usize; 7] {
+pub fn verdicts_along(verdicts: &Verdicts, ends: [DVec2; 2], aside: f64) -> [usize; 7] {
     let mut counts = [0; 7];
     let way = ends[1] - ends[0];
-    let across = beside * DVec2::new(-way.y, way.x).normalize_or_zero();
+    let across = aside * DVec2::new(-way.y, way.x).normalize_or_zero();
     let stations = (way.length().ceil() as usize).clamp(1, 1 << 14);
     let (width, height) = (verdicts.width as usize, verdicts.height as usize);
     for k in 0..=stations {

@@ -4,7 +4,7 @@
 //! Harris and M. Stephens 1988, J. Shi and C. Tomasi 1994). The corner is the point nearest to all edge lines through
 //! the surrounding pixels (W. Förstner and E. Gülch 1987), with the covariance of this least-squares problem.
 
-use super::PixelBox;
+use super::region::PixelBox;
 use crate::matching::Detection;
 use glam::{DMat2, DVec2};
 use presight_model::measured::GreyImage;
@@ -17,22 +17,22 @@ presight_model::options! {
     pub struct CornerOptions {
         /// Standard deviation of a grey value.
         noise: f64 = 0.01, with_noise;
-        /// Least grey-value difference across the weaker of the edges that meet.
-        least_contrast: f64 = 0.06, with_least_contrast;
-        /// Most corners returned, the strongest first.
-        most: usize = 500, with_most;
+        /// Minimum grey-value difference across the weaker of the edges that meet.
+        min_contrast: f64 = 0.06, with_min_contrast;
+        /// Maximum number of corners returned, the strongest first.
+        max_corners: usize = 500, with_max_corners;
     }
 }
 
 /// Half side of the detection window, pixels.
 const HALF: i64 = 3;
-/// Least distance between corners, pixels.
+/// Minimum distance between corners, pixels: half a window, as nearer ones share most of their pixels.
 const APART: i64 = 3;
-/// Largest distance of a corner from its peak, pixels. The response of a wedge peaks where both edges are long in the
+/// Maximum distance of a corner from its peak, pixels. The response of a wedge peaks where both edges are long in the
 /// window: further inside for a narrower wedge (5 pixels for 52 degrees).
 const FARTHEST: f64 = 5.0;
-/// Least ratio of the smaller eigenvalue to the larger: edges that meet at 35 degrees.
-const LEAST_ROUND: f64 = 0.1;
+/// Minimum ratio of the smaller eigenvalue to the larger: edges that meet at 35 degrees.
+const MIN_ROUNDNESS: f64 = 0.1;
 /// Error left by blur and sampling at best, pixels: edge lines bend where they meet.
 const FLOOR: f64 = 0.1;
 
@@ -46,7 +46,7 @@ pub fn corners_in(image: &GreyImage, region: PixelBox, options: &CornerOptions) 
     // An edge of contrast k adds gradients of about k^2 / 4 per window row; noise adds the same everywhere.
     let rows = f64::from(2 * HALF as i32 + 1);
     let of_noise = rows * rows * 0.1875 * options.noise * options.noise;
-    let least = 0.125 * rows * options.least_contrast.max(4.0 * options.noise).powi(2) + 2.0 * of_noise;
+    let least = 0.125 * rows * options.min_contrast.max(4.0 * options.noise).powi(2) + 2.0 * of_noise;
     let mut peaks = gradients.peaks(&strengths, least);
     peaks.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let mut found: Vec<Detection> = Vec::new();
@@ -54,7 +54,7 @@ pub fn corners_in(image: &GreyImage, region: PixelBox, options: &CornerOptions) 
         let Some((place, covariance)) = gradients.corner(at, options.noise) else { continue };
         // Two peaks may lead to one corner, and a corner may lie outside of the box.
         let known = found.iter().any(|d| d.shape.centre().distance(place) < APART as f64);
-        if known || !region.contains(place) || found.len() == options.most {
+        if known || !region.contains(place) || found.len() == options.max_corners {
             continue;
         }
         let mut detection = Detection::point(place, 1.0);
@@ -108,7 +108,7 @@ impl Gradients {
             let (half, off) = (0.5 * (xx[i] + yy[i]), 0.5 * (xx[i] - yy[i]));
             let apart = off.hypot(xy[i]);
             // Rejects the steps of a slanted edge, and NaN next to a pixel without a measurement.
-            if half - apart > LEAST_ROUND * (half + apart) { half - apart } else { 0.0 }
+            if half - apart > MIN_ROUNDNESS * (half + apart) { half - apart } else { 0.0 }
         };
         (0..xx.len()).map(smaller).collect()
     }

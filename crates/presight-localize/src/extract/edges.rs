@@ -1,7 +1,6 @@
 //! Finds the edges near a predicted one to a fraction of a pixel, by searching across it.
 
-use super::lines::{EdgeFrame, LineOptions, Step, StepNoise};
-use crate::matching::Detection;
+use super::lines::{EdgeFrame, FoundEdge, LineOptions, Step, StepNoise};
 use glam::{DMat2, DVec2};
 use presight_features::{SeenFeature, VisibleInterval};
 use presight_model::environment::FeatureShape;
@@ -14,8 +13,8 @@ pub struct ExpectedEdge {
     pub ends: [DVec2; 2],
     /// Search distance across the edge on either side, pixels.
     pub reach: f64,
-    /// The brighter side, if known: `Some(true)` for the right side, looking from the first end to the second in the
-    /// image (rows grow downwards).
+    /// The brighter side, if known: `Some(true)` for the right side of the direction from the first end to the second
+    /// (rows grow downwards).
     pub is_right_brighter: Option<bool>,
 }
 
@@ -45,7 +44,7 @@ impl ExpectedEdge {
     }
 }
 
-/// Shortest edge that is searched, pixels.
+/// Minimum length of an edge to search, pixels.
 const SHORTEST: f64 = 12.0;
 
 presight_model::options! {
@@ -56,26 +55,13 @@ presight_model::options! {
     pub struct EdgeOptions {
         /// Standard deviation of a grey value.
         noise: f64 = 0.01, with_noise;
-        /// Least grey-value difference across an edge.
-        least_contrast: f64 = 0.06, with_least_contrast;
-        /// Least fraction of the edge's length with measured steps.
-        least_support: f64 = 0.5, with_least_support;
-        /// Most edges returned for an expected one.
-        most: usize = 3, with_most;
+        /// Minimum grey-value difference across an edge.
+        min_contrast: f64 = 0.06, with_min_contrast;
+        /// Minimum fraction of the edge's length with measured steps.
+        min_support: f64 = 0.5, with_min_support;
+        /// Maximum number of edges returned for an expected one.
+        max_edges: usize = 3, with_max_edges;
     }
-}
-
-/// A detected edge.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FoundEdge {
-    /// A segment for [`crate::matching`]; its ends are not corners.
-    pub detection: Detection,
-    /// Brightness of the right side minus that of the left.
-    pub contrast: f64,
-    /// Fraction of the expected length with measured steps.
-    pub support: f64,
-    /// Root mean square distance of its points from the line, pixels.
-    pub scatter: f64,
 }
 
 /// Error left by sampling and interpolation at best, pixels.
@@ -93,7 +79,7 @@ pub fn edges_near(image: &GreyImage, expected: &ExpectedEdge, options: &EdgeOpti
         profiler.steps_across(&frame, along);
     }
     let noise = StepNoise { value: options.noise, floor: FLOOR };
-    let lines = LineOptions { least_support: options.least_support, most: options.most, noise };
+    let lines = LineOptions { min_support: options.min_support, max_lines: options.max_edges, noise };
     let mut found = frame.lines_through(profiler.steps, &lines);
     found.iter_mut().for_each(|e| e.detection.properties.contrast = Some(e.contrast.abs().min(1.0)));
     found
@@ -102,8 +88,8 @@ pub fn edges_near(image: &GreyImage, expected: &ExpectedEdge, options: &EdgeOpti
 /// Finds the steepest grey-value changes along lines across an edge.
 struct Profiler<'a> {
     image: &'a GreyImage,
-    /// Least change, for the mean of three adjacent lines.
-    least: f64,
+    /// Minimum change, for the mean of three adjacent lines.
+    min_change: f64,
     is_right_brighter: Option<bool>,
     /// Derivative of a Gaussian.
     weights: [f64; WIDTH],
@@ -112,7 +98,7 @@ struct Profiler<'a> {
     steps: Vec<Step>,
 }
 
-/// Distance between samples across an edge, pixels.
+/// Distance between samples across an edge, pixels: twice as fine as the image.
 const STEP: f64 = 0.5;
 /// Samples on either side of a difference: two pixels.
 const WIDTH: usize = 4;
@@ -126,9 +112,9 @@ impl<'a> Profiler<'a> {
         // The profile is the sum of three lines.
         let total = 3.0 * weights.iter().sum::<f64>();
         weights.iter_mut().for_each(|w| *w /= total);
-        let least = options.least_contrast.max(4.0 * options.noise / 3f64.sqrt());
+        let min_change = options.min_contrast.max(4.0 * options.noise / 3f64.sqrt());
         let (profile, changes, steps) = (Vec::new(), Vec::new(), Vec::new());
-        Self { image, least, is_right_brighter, weights, profile, changes, steps }
+        Self { image, min_change, is_right_brighter, weights, profile, changes, steps }
     }
 
     fn steps_across(&mut self, frame: &EdgeFrame, along: f64) {
@@ -153,7 +139,7 @@ impl<'a> Profiler<'a> {
             let c = window[1];
             let sound = self.is_right_brighter.is_none_or(|right| right == (c > 0.0));
             let (before, after) = (window[0] * c.signum(), window[2] * c.signum());
-            if !(sound && c.abs() >= self.least && c.abs() > before && c.abs() >= after) {
+            if !(sound && c.abs() >= self.min_change && c.abs() > before && c.abs() >= after) {
                 continue;
             }
             let bend = before - 2.0 * c.abs() + after;

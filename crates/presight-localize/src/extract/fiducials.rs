@@ -1,13 +1,13 @@
 //! Fiducials in grey images, found by the AprilTag library (E. Olson 2011, J. Wang and E. Olson 2016).
 
-use super::PixelBox;
+use super::region::PixelBox;
 use crate::matching::{Detection, Marker, Shape};
 use apriltag::{Detector, DetectorBuilder, Family, Image};
 use glam::DVec2;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::measured::GreyImage;
 
-/// Least width and height of a searched image, pixels.
+/// Minimum width and height of a searched image, pixels.
 const SMALLEST: i64 = 16;
 /// Corner error from blur, sampling and 1 % of noise, pixels; measured on rendered tags (`cargo test fiducials`).
 const FLOOR: f64 = 0.06;
@@ -53,7 +53,7 @@ impl FiducialFinder {
     }
 
     /// The fiducials in a box of an image: corners clockwise from each tag's own top left, with covariance and
-    /// identity. Pixels without a measurement count as black.
+    /// identity. Pixels without a measurement are treated as black.
     ///
     /// # Errors
     /// [`ErrorKind::System`] if the library gets no memory for its image.

@@ -1,11 +1,12 @@
 //! Processes a whole frame: searches each predicted feature in its region, matches and classifies it.
 
-use super::classes::unmatched;
+use super::classes::{FeatureClass, classify, unmatched, verdicts_along};
+use super::corners::{CornerOptions, corners_in};
+use super::edges::{EdgeOptions, ExpectedEdge, edges_near};
+use super::jumps::{JumpOptions, jumps_near};
+use super::reflectors::{ReflectorOptions, range_to, reflectors_in};
+use super::region::PixelBox;
 use super::tags::{is_sought, tags_in};
-use super::{
-    CornerOptions, EdgeOptions, ExpectedEdge, FeatureClass, JumpOptions, PixelBox, ReflectorOptions, classify,
-    corners_in, edges_near, jumps_near, range_to, reflectors_in, verdicts_along,
-};
 use crate::matching::{Detection, ExpectedFeature, ExpectedProperties, Marker, Matcher, Shape, UncertainValue, unwrap};
 use crate::verdict::{Verdict, Verdicts};
 use glam::{DMat2, DMat3, DVec2, DVec3};
@@ -21,11 +22,11 @@ presight_model::options! {
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct FindOptions {
         /// For grey images.
-        edges: EdgeOptions = EdgeOptions { least_support: 0.7, ..EdgeOptions::default() }, with_edges;
+        edges: EdgeOptions = EdgeOptions { min_support: 0.7, ..EdgeOptions::default() }, with_edges;
         /// For grey images.
         corners: CornerOptions = CornerOptions::default(), with_corners;
         /// For range images.
-        jumps: JumpOptions = JumpOptions { least_support: 0.7, ..JumpOptions::default() }, with_jumps;
+        jumps: JumpOptions = JumpOptions { min_support: 0.7, ..JumpOptions::default() }, with_jumps;
         /// For scans with intensities.
         reflectors: ReflectorOptions = ReflectorOptions::default(), with_reflectors;
         /// Covariance of the sensor's position, world axes, metres squared, used to match reflectors by range. `None`
@@ -51,13 +52,13 @@ pub struct FeatureFinding {
     pub existence: f64,
     /// The predicted shape in the image.
     pub predicted: Shape,
-    /// The classification; a match refers to [`Findings::detections`].
+    /// The classification; a match refers to [`FeatureFindings::detections`].
     pub class: FeatureClass,
 }
 
 /// Predicted features found and not found in a frame (paper section 3.5).
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Findings {
+pub struct FeatureFindings {
     /// All detections, each once.
     pub detections: Vec<Detection>,
     /// The predicted features that can be detected in this kind of frame.
@@ -66,7 +67,7 @@ pub struct Findings {
     pub only_found: Vec<usize>,
 }
 
-impl Findings {
+impl FeatureFindings {
     /// Matched features with their detections.
     pub fn matched(&self) -> impl Iterator<Item = (&FeatureFinding, &Detection)> {
         self.features.iter().filter_map(|f| match f.class {
@@ -77,6 +78,7 @@ impl Findings {
 
     /// Classifies unmatched features by measured ranges: *nearer* ranges mean that an unknown object occludes the
     /// feature, *farther* ones that it is missing.
+    #[doc(hidden)]
     pub fn explain(&mut self, ranges: &MeasuredRanges<'_>) {
         for feature in self.features.iter_mut().filter(|f| f.class == FeatureClass::Undecidable) {
             feature.class = match feature.predicted {
@@ -86,7 +88,7 @@ impl Findings {
         }
     }
 
-    /// The same findings, with a feature treated as unmatched.
+    /// A copy of the findings in which a feature counts as unmatched.
     pub fn without(&self, id: u32) -> Self {
         let mut some = self.clone();
         let own = some.features.iter_mut().filter(|f| f.id == id);
@@ -131,7 +133,7 @@ const BESIDE: f64 = 2.5;
 /// images are searched for edges, corners and, with the Cargo feature `fiducials`, fiducials ([`is_sought`]); range
 /// images for depth edges and, if they have intensities, reflectors. The prediction must be for the frame's sensor at
 /// `pose` and have regions of interest ([`presight_predict::Request::with_regions`]); features without a
-/// region are skipped. [`Findings::explain`] then classifies the features that were not found.
+/// region are skipped. [`FeatureFindings::explain`] then classifies the features that were not found.
 ///
 /// # Errors
 /// Errors of [`classify`]; [`presight_model::ErrorKind::System`] if the fiducial library runs out of memory.
@@ -140,8 +142,8 @@ pub fn find_features(
     pose: &SensorPose,
     predicted: &FeaturePrediction,
     options: &FindOptions,
-) -> Result<Findings> {
-    let mut findings = Findings::default();
+) -> Result<FeatureFindings> {
+    let mut findings = FeatureFindings::default();
     let mut expected = Vec::new();
     let view = View { sensor: frame.sensor(), world_from_sensor: &pose.world_from_sensor() };
     let turn = presight_features::turn(frame.sensor());
@@ -172,10 +174,11 @@ pub fn find_features(
     Ok(findings)
 }
 
-/// Expected number of bright spots per scan column that are not reflectors of the layer.
+/// Expected number of bright spots per scan column that are not reflectors of the layer: one false spot in a scan of
+/// 1,000 beams.
 const CLUTTER_OF_A_COLUMN: f64 = 1e-3;
-/// Number of pixel rows with the same effect where the row is unknown (variance [`super::reflectors::UNKNOWN`]):
-/// dividing by it gives the density per column.
+/// Number of pixel rows with the same effect where the row is unknown: sqrt(2 pi V) of its variance V
+/// ([`super::reflectors::UNKNOWN`]). Dividing by it gives the density per column.
 const ROWS: f64 = 2507.0;
 
 fn matcher(frame: &Frame) -> Matcher {

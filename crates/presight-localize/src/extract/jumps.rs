@@ -1,7 +1,7 @@
 //! Depth edges in range images, where neighbouring pixels measure surfaces one behind the other.
 
-use super::lines::{EdgeFrame, LineOptions, Step, StepNoise};
-use super::{ExpectedEdge, FoundEdge};
+use super::edges::ExpectedEdge;
+use super::lines::{EdgeFrame, FoundEdge, LineOptions, Step, StepNoise};
 use glam::DVec2;
 use presight_model::measured::{Frame, RangeNoise};
 
@@ -9,22 +9,23 @@ presight_model::options! {
     /// Thresholds of the depth edge detector.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct JumpOptions {
-        /// Least jump as a fraction of the nearer range. A jump must also exceed the noise and the slopes of the
+        /// Minimum jump as a fraction of the nearer range. A jump must also exceed the noise and the slopes of the
         /// surfaces.
-        least_jump: f64 = 0.03, with_least_jump;
-        /// Least fraction of the edge's length with measured jumps.
-        least_support: f64 = 0.5, with_least_support;
-        /// Most edges returned for an expected one.
-        most: usize = 3, with_most;
+        min_jump: f64 = 0.03, with_min_jump;
+        /// Minimum fraction of the edge's length with measured jumps.
+        min_support: f64 = 0.5, with_min_support;
+        /// Maximum number of edges returned for an expected one.
+        max_edges: usize = 3, with_max_edges;
     }
 }
 
-/// Jumps must exceed this many standard deviations of noise.
+/// Jumps must exceed this many standard deviations of one reading, which are 3.5 of a difference: 1 in 2,500 pairs of
+/// readings does by chance.
 const FAR: f64 = 5.0;
 /// Factor by which a slope may continue to grow without being a jump.
 const BEND: f64 = 3.0;
 /// A pixel measures one of the two surfaces, so the edge may be anywhere between two pixel centres, even along its
-/// whole length if it follows a row or a column. One standard deviation, pixels.
+/// whole length if it follows a row or a column. One standard deviation, pixels: 1 / sqrt(12).
 const HALF_OPEN: f64 = 0.2887;
 
 /// The depth edges that may correspond to an expected one, the best supported first. `contrast` is the range on the
@@ -45,8 +46,8 @@ pub fn jumps_near(frame: &Frame, expected: &ExpectedEdge, options: &JumpOptions)
         steps_across(&across, along, edge.reach, &noise, options, &mut steps);
     }
     let lines = LineOptions {
-        least_support: options.least_support,
-        most: options.most,
+        min_support: options.min_support,
+        max_lines: options.max_edges,
         noise: StepNoise { value: 0.0, floor: HALF_OPEN },
     };
     edge.lines_through(steps, &lines)
@@ -82,7 +83,7 @@ fn steps_across(
 ) {
     let jump = |i: usize| -> f64 {
         let (a, b) = (profile[i - 1].1, profile[i].1);
-        // Nothing within reach counts as far behind; NaN is not compared.
+        // A ray without an echo gets a range far behind all others; NaN is not compared.
         let far = |r: f64| if r == f64::INFINITY { 1e3 } else { r };
         let (a, b) = (far(a), far(b));
         let near = a.min(b);
@@ -93,9 +94,9 @@ fn steps_across(
             let pair = k.filter(|k| *k >= 1 && *k < profile.len()).map(|k| (profile[k].1 - profile[k - 1].1).abs());
             pair.filter(|s| s.is_finite()).unwrap_or(0.0)
         };
-        // The smaller slope of both sides, because next to a mixed pixel one of them is a jump too.
+        // The smaller slope of both sides, because next to a mixed pixel one of them is itself a jump.
         let goes_on = BEND * slope(i.checked_sub(1)).min(slope(Some(i + 1)));
-        let least = (options.least_jump * near).max(FAR * noise.range_sigma(near) + goes_on);
+        let least = (options.min_jump * near).max(FAR * noise.range_sigma(near) + goes_on);
         if (b - a).abs() >= least { b - a } else { 0.0 }
     };
     let mut i = 1;

@@ -1,17 +1,29 @@
 //! Fits lines to steps measured across an expected edge: selects the best supported line, then solves least squares.
 
-use super::FoundEdge;
 use crate::matching::Detection;
 use glam::{DMat2, DVec2};
 
-/// Most stations along an edge.
+/// A detected edge.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundEdge {
+    /// A segment for [`crate::matching`]; its ends are not corners.
+    pub detection: Detection,
+    /// Brightness of the right side minus that of the left.
+    pub contrast: f64,
+    /// Fraction of the expected length with measured steps.
+    pub support: f64,
+    /// Root mean square distance of its points from the line, pixels.
+    pub scatter: f64,
+}
+
+/// Maximum number of stations along an edge.
 const STATIONS: usize = 96;
-/// Largest distance of a step from the line that it supports, pixels.
+/// Maximum distance of a step from the line that it supports, pixels.
 const NEAR: f64 = 1.2;
-/// Most steps at either end that are tried as pairs.
+/// Maximum number of steps at either end that are tried as pairs: at most 24 x 24 lines.
 const TRIED: usize = 24;
 
-/// A line supported by this fraction of the stations is accepted at once.
+/// A line supported by this fraction of the stations is accepted without trying more.
 const PLENTY: f64 = 0.9;
 
 /// A position across the edge where the image changes most.
@@ -43,10 +55,10 @@ pub(super) struct StepNoise {
 
 /// Selects the lines to return.
 pub(super) struct LineOptions {
-    /// Least fraction of stations that support a line.
-    pub least_support: f64,
-    /// Most lines.
-    pub most: usize,
+    /// Minimum fraction of stations that support a line.
+    pub min_support: f64,
+    /// Maximum number of lines.
+    pub max_lines: usize,
     pub noise: StepNoise,
 }
 
@@ -77,7 +89,7 @@ impl EdgeFrame {
     /// The lines through the steps, the best supported first.
     pub fn lines_through(&self, mut steps: Vec<Step>, options: &LineOptions) -> Vec<FoundEdge> {
         let mut found = Vec::new();
-        while found.len() < options.most {
+        while found.len() < options.max_lines {
             let Some(line) = self.best_line(&steps) else { break };
             let mut own = Vec::new();
             steps.retain(|s| {
@@ -86,7 +98,7 @@ impl EdgeFrame {
                 !near
             });
             match self.fitted(&own, &options.noise) {
-                Some(edge) if edge.support >= options.least_support => found.push(edge),
+                Some(edge) if edge.support >= options.min_support => found.push(edge),
                 _ => break,
             }
         }
@@ -124,7 +136,7 @@ impl EdgeFrame {
         best.filter(|(votes, _)| *votes >= 3).map(|(_, line)| line)
     }
 
-    /// Least squares through the steps of one line.
+    /// The line fitted to its steps by least squares.
     fn fitted(&self, own: &[Step], noise: &StepNoise) -> Option<FoundEdge> {
         let n = own.len() as f64;
         if own.len() < 3 {

@@ -31,12 +31,12 @@ mod tests;
 
 pub use classes::{Classes, FeatureClass, classify, verdicts_along};
 pub use corners::{CornerOptions, corners_in};
-pub use edges::{EdgeOptions, ExpectedEdge, FoundEdge, edges_near};
+pub use edges::{EdgeOptions, ExpectedEdge, edges_near};
 #[cfg(feature = "fiducials")]
 pub use fiducials::FiducialFinder;
-pub use findings::{FeatureFinding, FindOptions, Findings, MeasuredRanges, find_features};
+pub use findings::{FeatureFinding, FeatureFindings, FindOptions, MeasuredRanges, find_features};
 pub use jumps::{JumpOptions, jumps_near};
-pub use reflectors::range_to;
-pub use reflectors::{FoundReflector, ReflectorOptions, reflectors_in};
+pub use lines::FoundEdge;
+pub use reflectors::{FoundReflector, ReflectorOptions, range_to, reflectors_in};
 pub use region::PixelBox;
 pub use tags::is_sought;

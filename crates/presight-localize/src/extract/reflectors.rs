@@ -1,6 +1,6 @@
 //! Retro-reflectors in scans: echoes far brighter than from any wall.
 
-use super::PixelBox;
+use super::region::PixelBox;
 use crate::matching::{Detection, Shape, UncertainValue};
 use glam::{DMat2, DVec2};
 use presight_model::error::{Error, Result};
@@ -13,9 +13,9 @@ presight_model::options! {
     /// Thresholds of the reflector detector.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct ReflectorOptions {
-        /// Least intensity; diffuse surfaces stay far below it.
+        /// Minimum intensity; diffuse surfaces stay far below it.
         least: f64 = 0.8, with_least;
-        /// Largest extent, metres: wider spots are walls or a blinded receiver.
+        /// Maximum extent, metres: wider spots are walls or a blinded receiver.
         widest: f64 = 0.4, with_widest;
     }
 }
@@ -29,9 +29,9 @@ pub struct FoundReflector {
     pub range: UncertainValue,
 }
 
-/// Variance of an unknown position, pixels squared.
+/// Variance of an unknown position, pixels squared: a standard deviation of 1,000 pixels excludes no row.
 const UNKNOWN: f64 = 1e6;
-/// Largest range difference within one reflector, metres.
+/// Maximum range difference within one reflector, metres.
 const DEPTH: f64 = 0.2;
 
 /// The reflectors in a box of a scan, in pixel order. `intensity` has the pixels of the scan, 1 for the brightest. A
@@ -79,7 +79,7 @@ struct BrightScan<'a> {
     frame: &'a Frame,
     intensity: &'a GreyImage,
     options: &'a ReflectorOptions,
-    /// Without a column that comes twice.
+    /// Columns and rows, without a column that repeats the first at the seam.
     size: Pixel,
     /// Columns of the image.
     width: i64,
@@ -143,7 +143,7 @@ impl<'a> BrightScan<'a> {
     }
 
     /// The bright pixels connected to a first one at similar ranges; `None` if they are too wide. `seen` maps visited
-    /// pixels to true if they belong to a spot that is too wide; no part of it counts as a reflector.
+    /// pixels to true if they belong to a spot that is too wide; such a spot contains no reflector.
     fn spot(&self, first: Pixel, seen: &mut BTreeMap<Pixel, bool>) -> Option<BrightSpot> {
         let mut spot = BrightSpot { ranges: Vec::new(), columns: (first.0, first.0), rows: (first.1, first.1) };
         let (mut open, mut own, mut wide) = (vec![first], vec![first], false);
@@ -236,7 +236,7 @@ impl<'a> BrightScan<'a> {
         let mut detection = Detection::new(Shape::Reflector(DVec2::new(x + aside, y)), 1.0);
         detection.covariance = DMat2::from_diagonal(DVec2::new(of_column, of_row));
         detection.properties.strength = Some(1.0);
-        // The variance of a median is larger than that of a mean.
+        // A median has a larger variance than a mean: pi / 2 times for many values.
         let of_median = if count > 2.0 { std::f64::consts::FRAC_PI_2 } else { 1.0 };
         // A shift of the middle also changes its range.
         let variance = of_median * sigma * sigma / count + slope * slope * of_column;

@@ -1,8 +1,8 @@
 //! Fiducials for [`super::find_features`], with the Cargo feature `fiducials` and for dictionaries of its library.
 
 #[cfg(feature = "fiducials")]
-use super::FiducialFinder;
-use super::PixelBox;
+use super::fiducials::FiducialFinder;
+use super::region::PixelBox;
 use crate::matching::Detection;
 use presight_model::environment::FeatureShape;
 use presight_model::error::Result;

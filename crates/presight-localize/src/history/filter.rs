@@ -33,8 +33,8 @@ impl PointFilter {
         }
     }
 
-    /// Predicts the state `interval` seconds later. A constant unknown acceleration acts meanwhile, with the standard
-    /// deviation `acceleration_sigma` along each axis.
+    /// Predicts the state `interval` seconds later. A constant unknown acceleration acts over the interval, with the
+    /// standard deviation `acceleration_sigma` along each axis.
     pub fn advance(&mut self, interval: f64, acceleration_sigma: f64) {
         let t = interval;
         let cross = self.cross_covariance;

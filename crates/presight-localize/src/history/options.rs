@@ -50,8 +50,8 @@ pub struct TrackerOptions {
     /// Standard deviation of the speed of a new track, pixels per second. By default 200: a camera with a focal length
     /// of 500 pixels on a robot that turns by 0.4 rad/s.
     pub speed_sigma: f64,
-    /// Standard deviation of a feature's acceleration in the image, pixels per s^2. By default 400: the same camera on a
-    /// robot whose turn accelerates by 0.8 rad/s^2.
+    /// Standard deviation of a feature's acceleration in the image, pixels per s^2. By default 400: the same camera on
+    /// a robot whose turn accelerates by 0.8 rad/s^2.
     pub acceleration_sigma: f64,
     /// Gates and costs of the assignment; its `turn` is that of the image.
     pub matcher: Matcher,

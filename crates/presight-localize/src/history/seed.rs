@@ -12,7 +12,8 @@ use presight_model::sensor::Sensor;
 pub struct Seed {
     /// The feature's number.
     pub id: u32,
-    /// Position in the image. The ends of a segment that are not corners of the model may be detected anywhere along it.
+    /// Position in the image. The ends of a segment that are not corners of the model may be detected anywhere along
+    /// it.
     pub shape: Shape,
     /// Covariance of each defining point, pixels squared.
     pub covariances: Vec<DMat2>,

@@ -77,7 +77,7 @@ impl Tracker {
         self.time
     }
 
-    /// Takes over the features of a full prediction for `time` (seconds). A track goes on if its feature is predicted
+    /// Takes over the features of a full prediction for `time` (seconds). A track is kept if its feature is predicted
     /// near its position. All other predicted features start new tracks, and tracks without a predicted feature end.
     ///
     /// # Errors

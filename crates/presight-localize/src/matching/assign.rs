@@ -4,13 +4,13 @@ use pathfinding::prelude::{Matrix, kuhn_munkres};
 use presight_model::error::{Error, Result};
 use presight_model::union_find::UnionFind;
 
-/// Largest work for one group: rows squared times columns, about 50 ms. Larger groups are matched greedily and counted.
+/// Maximum work for one group: rows squared times columns, about 50 ms. Larger groups are matched greedily and counted.
 pub const MAX_GROUP_WORK: usize = 1 << 24;
 
 /// The algorithm needs integer costs; this is the number of steps per unit.
 const STEPS: f64 = (1u64 << 20) as f64;
 
-/// Largest gain of one pair. Sums over a million rows cannot overflow.
+/// Maximum gain of one pair. Sums over a million rows cannot overflow.
 const MAX_GAIN: f64 = 1e6;
 
 /// A possible pair of an expected feature and a detection.

@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-/// Largest number of bins per axis.
+/// Maximum number of bins per axis.
 const SIDE: usize = 64;
 
 /// Items sorted by their points into bins over the bounding box.

@@ -2,7 +2,8 @@
 
 use glam::{DMat2, DVec2};
 
-/// Largest number of corners of an outline. Outlines are compared corner by corner, at every starting corner.
+/// Maximum number of corners of an outline; it bounds the comparison to 256 pairs. Outlines are compared corner by
+/// corner, at every starting corner.
 pub(crate) const MAX_OUTLINE: usize = 16;
 
 /// Position of a feature in pixel coordinates (column, row). The centre of the top-left pixel is (0, 0).
@@ -53,6 +54,7 @@ impl Shape {
     }
 
     /// Checks that the coordinates are finite, that a segment has a length, and that a patch has 3 to 16 corners.
+    #[doc(hidden)]
     pub fn check(&self) -> Result<(), Rejection> {
         if !self.points().iter().all(|p| p.is_finite() && p.abs().max_element() <= MAX_PIXEL) {
             return Err(Rejection::NotFinite);
@@ -65,10 +67,10 @@ impl Shape {
     }
 }
 
-/// Shortest segment that has a direction, pixels.
+/// Minimum length of a segment, pixels; a shorter one has no direction.
 const SHORTEST: f64 = 1e-3;
 
-/// Largest pixel coordinate. Squared distances cannot overflow.
+/// Maximum pixel coordinate. Squared distances cannot overflow.
 const MAX_PIXEL: f64 = 1e9;
 
 /// A fiducial's identity.
@@ -141,6 +143,7 @@ impl Detection {
     ///
     /// # Errors
     /// The reason for which the detection is rejected.
+    #[doc(hidden)]
     pub fn check(&self) -> Result<(), Rejection> {
         self.shape.check()?;
         let [a, b, c, d] = self.covariance.to_cols_array();
@@ -192,4 +195,17 @@ pub struct ExpectedProperties {
     pub marker: Option<Marker>,
     /// Metres along the ray.
     pub range: Option<UncertainValue>,
+}
+
+/// A feature that may be detected.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExpectedFeature {
+    /// Most likely position.
+    pub shape: Shape,
+    /// Covariance of each defining point without the noise of the detection, pixels squared.
+    pub covariances: Vec<DMat2>,
+    /// Search window: x0, y0, x1, y1. Detections outside are not candidates, but segments only have to cross it.
+    pub window: [f64; 4],
+    /// Expected properties.
+    pub properties: ExpectedProperties,
 }

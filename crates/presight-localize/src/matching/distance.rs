@@ -1,15 +1,14 @@
 //! Distance between a detection and an expected feature.
 
-use super::detection::{Detection, Shape};
-use super::matcher::ExpectedFeature;
+use super::detection::{Detection, ExpectedFeature, Shape};
 use glam::{DMat2, DVec2};
 use presight_model::statistics::chi_squared_quantile;
 use std::f64::consts::PI;
 
-/// Smallest variance of a measured coordinate, pixels squared. With a smaller one, a track would reject its detections.
+/// Minimum variance of a measured coordinate, pixels squared. With a smaller one, a track would reject its detections.
 const FLOOR: f64 = 1e-4;
 
-/// Smallest overlap of two segments as a share of their union, measured along them.
+/// Minimum overlap of two segments as a share of their union, measured along them.
 const OVERLAP: f64 = 1.0 / 3.0;
 
 /// Relative bound on rounding when the same test is computed in a different order.
@@ -35,7 +34,7 @@ fn scalar(squared: f64, variance: f64, into: &mut Distance) {
     into.log_volume += 0.5 * (2.0 * PI * variance).ln();
 }
 
-/// Largest squared distances that pass the gate, by number of dimensions.
+/// Maximum squared distances that pass the gate, by number of dimensions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Gate {
     deviate: f64,
@@ -98,7 +97,7 @@ pub(super) fn compare(
         (Shape::Point(p), Shape::Point(q)) | (Shape::Reflector(p), Shape::Reflector(q)) => {
             let (innovation, s) = (*q + shift - *p, expected.covariances[0] + covariance);
             let (squared, determinant) = squared_of(innovation, s);
-            // Most pairs fail here, before any logarithm is computed.
+            // The majority of pairs fails here, before any logarithm is computed.
             if squared > gate.limit(2) {
                 return None;
             }
@@ -255,8 +254,8 @@ impl SegmentPair {
 }
 
 /// Returns the measured position of each defining point of the expected shape, in order, with its covariance. An
-/// extractor breaks a segment anywhere, so the end of one that is no corner has the variance of a place that is uniform
-/// along the expected segment: its squared length / 12.
+/// extractor breaks a segment anywhere, so an end without a corner is uniformly distributed along the expected segment,
+/// with a variance of its squared length / 12.
 pub(crate) fn aligned(expected: &ExpectedFeature, found: &Detection, turn: Option<f64>) -> Vec<(DVec2, DMat2)> {
     let covariance = floored(found.covariance);
     let points = found.shape.points();
@@ -342,7 +341,7 @@ mod tests {
         assert!((d.squared - 4.0).abs() < 1e-3);
         // A continuation beyond the end is a different segment.
         assert!(compare(&p, &line(0.0, 0.0, 101.0, 200.0), 1.0, None).is_none());
-        // With corners, 2 pixels along the segment count as well.
+        // With corners, an offset of 2 pixels along the segment adds to the distance.
         let ends = [DVec2::new(2.0, 0.0), DVec2::new(102.0, 0.0)];
         let fixed = Detection::new(Shape::Segment { ends, corners: [true, false] }, 1.0);
         let d = compare(&p, &fixed, 1.0, None).unwrap();

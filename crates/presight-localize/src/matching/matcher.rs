@@ -2,31 +2,20 @@
 
 use super::assign::CandidatePair;
 use super::bins::Bins;
-use super::detection::{Detection, DetectionProperties, ExpectedProperties, Rejection, Shape, UncertainValue};
+use super::detection::{
+    Detection, DetectionProperties, ExpectedFeature, ExpectedProperties, Rejection, Shape, UncertainValue,
+};
 use super::distance::{Distance, FoundLine, Gate, compare, turn_apart};
-use glam::{DMat2, DVec2};
+use glam::DVec2;
 use std::f64::consts::PI;
 
-/// Largest number of candidates of one feature; the cheapest are kept. An optimum needs one per feature of a group.
+/// Maximum number of candidates of one feature; the cheapest are kept. An optimum needs one per feature of a group.
 pub const MAX_CANDIDATES: usize = 64;
 
-/// Length along a ray over which clutter is uniform, metres.
+/// Length along a ray over which clutter is uniform, metres: the reach of a usual laser scanner.
 const DEPTHS: f64 = 30.0;
-/// Smallest standard deviation of a measured range, metres. With a smaller one, the gate rejects nearly everything.
-const LEAST_DEPTH: f64 = 1e-3;
-
-/// A feature that may be detected.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ExpectedFeature {
-    /// Most likely position.
-    pub shape: Shape,
-    /// Covariance of each defining point without the noise of the detection, pixels squared.
-    pub covariances: Vec<DMat2>,
-    /// Search window: x0, y0, x1, y1. Detections outside are not candidates, but segments only have to cross it.
-    pub window: [f64; 4],
-    /// Expected properties.
-    pub properties: ExpectedProperties,
-}
+/// Minimum standard deviation of a measured range, metres. With a smaller one, the gate rejects nearly everything.
+const MIN_DEPTH_SIGMA: f64 = 1e-3;
 
 /// Noise of an extractor's properties, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,11 +92,13 @@ impl Place {
 
 impl Matcher {
     /// Cost of a feature without a detection.
+    #[doc(hidden)]
     pub fn unseen_cost(&self) -> f64 {
         -(1.0 - self.detection_probability).ln()
     }
 
     /// Returns the pairs of one kind with the detection in the window, and position and properties within the gate.
+    #[doc(hidden)]
     pub fn candidates(&self, expected: &[ExpectedFeature], found: &[Detection]) -> Candidates {
         let mut all = Candidates::default();
         let mut places = Vec::with_capacity(found.len());
@@ -206,7 +197,7 @@ impl Matcher {
 
     /// Cost of a pair; `None` outside the gate.
     fn cost(&self, feature: &ExpectedFeature, detection: &Detection, level: &Level) -> Option<f64> {
-        // Most pairs fail the position test, which is the cheapest.
+        // The position test is the cheapest and rejects the majority of pairs.
         let distance = compare(feature, detection, self.noise, self.turn, &level.gate)?;
         let alike = self.compare_properties(&feature.properties, &detection.properties)?;
         let dimensions = distance.dimensions + alike.dimensions;
@@ -249,7 +240,7 @@ impl Matcher {
             all.log_clutter = -PI.ln();
         }
         if let (Some(expected), Some(found)) = (&expected.range, &found.range) {
-            add(found.mean - expected.mean, expected.variance + found.variance + LEAST_DEPTH * LEAST_DEPTH);
+            add(found.mean - expected.mean, expected.variance + found.variance + MIN_DEPTH_SIGMA * MIN_DEPTH_SIGMA);
             all.log_clutter -= DEPTHS.ln();
         }
         all.log_volume = 0.5 * volume_squared.ln();
@@ -272,6 +263,7 @@ fn reach(feature: &ExpectedFeature) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DMat2;
 
     fn point(x: f64, y: f64) -> ExpectedFeature {
         ExpectedFeature {

@@ -3,7 +3,7 @@
 //! 1. [`Matcher::candidates`] pairs each expected feature with the detections within its gate: near enough by
 //!    Mahalanobis distance, and similar in the properties that both sides know.
 //! 2. `assign` picks the pairs with the lowest total cost. It uses each feature and each detection once. A feature
-//!    without a detection has a cost, too.
+//!    without a detection also has a cost.
 //!
 //! The cost of a pair is the negative logarithm of a likelihood ratio. It compares "the detection is the feature" with
 //! "the detection is clutter", where clutter is uniform over the image and over the range of each property. Costs of
@@ -26,6 +26,8 @@ mod matcher;
 
 pub use assign::{Assignment, CandidatePair, MAX_GROUP_WORK, assign};
 pub(crate) use detection::MAX_OUTLINE;
-pub use detection::{Detection, DetectionProperties, ExpectedProperties, Marker, Rejection, Shape, UncertainValue};
+pub use detection::{
+    Detection, DetectionProperties, ExpectedFeature, ExpectedProperties, Marker, Rejection, Shape, UncertainValue,
+};
 pub(crate) use distance::{aligned, floored, unwrap};
-pub use matcher::{Candidates, ExpectedFeature, MAX_CANDIDATES, Matcher, PropertyNoise};
+pub use matcher::{Candidates, MAX_CANDIDATES, Matcher, PropertyNoise};

@@ -10,7 +10,7 @@ use presight_model::world::World;
 use presight_predict::predict::Predictor;
 use presight_render::plan::{Images, Output, Outputs};
 
-/// Rays along each side of a pixel.
+/// Rays along each side of a pixel: grey values at edges come in steps of 1 / 9.
 const FINE: u32 = 3;
 
 /// Simulates the grey images of one camera on one robot.
@@ -25,13 +25,13 @@ const FINE: u32 = 3;
 /// let camera = Sensor::new(SensorSpec::new("camera", "video", Geometry::Camera(camera)))?;
 /// let mut simulator = GreySimulator::new(Predictor::new(Options::default())?, camera, 0.7, 0.0, 1)?;
 /// let frame = simulator.frame(&World::new(Environment::new()), 0.0, &RobotPose::IDENTITY)?;
-/// assert!(frame.grey().unwrap().values().iter().all(|v| *v == 0.0), "nothing is there, and nothing is black");
+/// assert!(frame.grey().unwrap().values().iter().all(|v| *v == 0.0), "an empty scene is black");
 /// # Ok::<(), presight::Error>(())
 /// ```
 pub struct GreySimulator {
     predictor: Predictor,
     camera: Sensor,
-    /// The same camera with smaller pixels.
+    /// The camera with each pixel divided, for anti-aliasing.
     fine: Sensor,
     blur: f64,
     noise: f64,

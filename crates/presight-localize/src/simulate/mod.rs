@@ -1,7 +1,7 @@
 //! Simulated logs: measurements of a sensor with noise, drop-outs and mixed pixels, odometry that slips, and a scene
 //! that differs from its model.
 //!
-//! The same seed gives the same log. The noise shares only the sensor's stated deviations with the estimator's model.
+//! A seed determines the log. The noise shares only the sensor's stated deviations with the estimator's model.
 
 mod grey;
 mod surroundings;
@@ -9,7 +9,7 @@ mod surroundings;
 pub use grey::GreySimulator;
 pub use surroundings::{Walkers, displace};
 
-use crate::estimate::moved;
+use crate::motion::moved;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseCovariance, RobotPose};
 use presight_model::measured::{Frame, GreyImage, Measurement, Motion, RangeNoise};
@@ -48,7 +48,7 @@ const JUMP: f64 = 0.05;
 /// let scanner = presight::preset("laser-scanner")?;
 /// let mut simulator = Simulator::new(Predictor::new(Options::default())?, scanner, Disturbances::default(), 7)?;
 /// let frame = simulator.frame(&world, 0.0, &RobotPose::IDENTITY)?;
-/// assert!(frame.ranges().iter().all(|r| !r.is_finite()), "nothing is there");
+/// assert!(frame.ranges().iter().all(|r| !r.is_finite()), "the scene is empty");
 /// # Ok::<(), presight::Error>(())
 /// ```
 pub struct Simulator {

@@ -10,14 +10,14 @@ use presight_model::world::World;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// Most people in a scene.
-const MOST_WALKERS: usize = 1000;
+/// Maximum number of people in a scene: it bounds the changes that each frame applies.
+const MAX_WALKERS: usize = 1000;
 /// Half of a person's width, depth and height, metres.
 const PERSON: [f32; 3] = [0.25, 0.15, 0.85];
-/// Metres per second.
+/// Walking speed of people, metres per second.
 const SPEED: f64 = 1.0;
-/// How far people walk before they turn around, metres.
-const WAY: f64 = 4.0;
+/// Distance that people walk before they turn around, metres.
+const DISTANCE: f64 = 4.0;
 /// Lateral distance between a person's path and a pose of the robot, metres.
 const ASIDE: (f64, f64) = (1.0, 2.5);
 
@@ -77,9 +77,9 @@ impl Walkers {
     /// [`presight_model::ErrorKind::Usage`] for too many people, no pose or a non-finite height; errors of
     /// [`World::apply`].
     pub fn new(world: &mut World, path: &[RobotPose], height: f64, count: usize, seed: u64) -> Result<Self> {
-        if count > MOST_WALKERS || !height.is_finite() || (path.is_empty() && count > 0) {
+        if count > MAX_WALKERS || !height.is_finite() || (path.is_empty() && count > 0) {
             let what = format!("{count} walkers near {} poses {height} m above the floor", path.len());
-            return Err(Error::usage(what, format!("give at most {MOST_WALKERS}, a pose, and a finite height")));
+            return Err(Error::usage(what, format!("give at most {MAX_WALKERS}, a pose, and a finite height")));
         }
         let mut random = SplitMix64(seed ^ 0x77a1_6e75);
         let mut walkers = Vec::new();
@@ -88,8 +88,8 @@ impl Walkers {
             let (heading, side) = (random.uniform(0.0, TAU), random.uniform(ASIDE.0, ASIDE.1));
             let direction = DVec3::new(heading.cos(), heading.sin(), 0.0);
             let middle = near + side * DVec3::new(-direction.y, direction.x, 0.0);
-            let feet = middle - 0.5 * WAY * direction - height * DVec3::Z;
-            let (name, ahead) = (format!("walker {k}"), random.uniform(0.0, 2.0 * WAY / SPEED));
+            let feet = middle - 0.5 * DISTANCE * direction - height * DVec3::Z;
+            let (name, ahead) = (format!("walker {k}"), random.uniform(0.0, 2.0 * DISTANCE / SPEED));
             walkers.push(Walker { name, from: feet, direction, ahead });
         }
         let walkers = Self { walkers };
@@ -117,8 +117,8 @@ impl Walkers {
 impl Walker {
     /// Walks back and forth; a full cycle is twice the path.
     fn pose(&self, time: f64) -> Pose {
-        let gone = (SPEED * (time + self.ahead)).rem_euclid(2.0 * WAY);
-        let along = if gone <= WAY { gone } else { 2.0 * WAY - gone };
+        let gone = (SPEED * (time + self.ahead)).rem_euclid(2.0 * DISTANCE);
+        let along = if gone <= DISTANCE { gone } else { 2.0 * DISTANCE - gone };
         let heading = self.direction.y.atan2(self.direction.x);
         Pose { translation: self.from + along * self.direction, rotation: DQuat::from_rotation_z(heading) }
     }

@@ -1,9 +1,9 @@
-//! What is expected of each pixel: the predicted point and the exact plane of its polygon.
+//! Expected pixels: the predicted point and the exact plane of its polygon.
 
-use super::Surfaces;
+use super::pixel::{ExpectedPixel, NOTHING};
 use super::strided::StridedPoints;
-use super::surfaces::ObjectErrors;
-use glam::{DVec3, Vec3};
+use super::surfaces::{ObjectErrors, Surfaces};
+use glam::DVec3;
 use presight_model::environment::MarkKind;
 use presight_model::error::Result;
 use presight_model::geometry::{Pose, RobotPose, SensorPose};
@@ -14,36 +14,10 @@ use presight_render::plan::{Images, Output, Outputs};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// A pixel of a prediction. All of it is told in the image frame of the predicted pose.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ExpectedPixel {
-    /// The predicted point, metres; NaN where nothing is predicted.
-    pub point: Vec3,
-    /// Metres along the ray; not finite where no point is.
-    pub range: f32,
-    /// Unit normal of the polygon.
-    pub normal: Vec3,
-    /// `normal . point`, metres.
-    pub offset: f32,
-    /// Index of the object.
-    pub object: u32,
-    /// See [`super::Surface::group`].
-    pub group: u32,
-}
+/// Minimum number of pixels in a parallel task.
+pub(super) const TASK: usize = 512;
 
-/// Fewest pixels of one task.
-const TASK: usize = 512;
-
-pub(super) const NOTHING: ExpectedPixel = ExpectedPixel {
-    point: Vec3::NAN,
-    range: f32::INFINITY,
-    normal: Vec3::NAN,
-    offset: f32::NAN,
-    object: u32::MAX,
-    group: u32::MAX,
-};
-
-/// A prediction, arranged for comparing it with what is sensed.
+/// A prediction, arranged for comparison with a measurement.
 #[derive(Clone, Debug)]
 pub struct ExpectedImage {
     /// The sensor.
@@ -57,17 +31,17 @@ pub struct ExpectedImage {
     /// The pixels, row by row.
     pub pixels: Vec<ExpectedPixel>,
     pub(crate) strided: StridedPoints,
-    /// Radians from one column to the next, and from one row to the next; infinite where there is but one.
+    /// Radians between neighbouring columns and between neighbouring rows; infinite for a single one.
     pub spacing: (f64, f64),
-    /// Of the objects whose poses' covariances are stored.
+    /// Pose errors of the objects whose covariances are stored.
     pub errors: ObjectErrors,
-    /// The pixels that are marked as uncertain; empty if none is.
+    /// True for pixels that are marked as uncertain; empty without marks.
     uncertain: Vec<bool>,
-    /// The probability that an object exists; objects that are sure to exist are left out.
+    /// The probability that an object exists, by its index; without an entry it is 1.
     existence: HashMap<u32, f64>,
 }
 
-/// The frame in which rays and points of an image are told, in body axes.
+/// The image frame of a sensor, in which its rays and points are given, relative to its body axes.
 pub fn body_from_image(sensor: &Sensor) -> Pose {
     let optical = || body_from_optical_rotation() * sensor.spec().optical_from_image;
     let rotation = if sensor.is_camera() { optical() } else { glam::DQuat::IDENTITY };
@@ -81,7 +55,7 @@ fn existence_of(world: &World) -> HashMap<u32, f64> {
 }
 
 impl ExpectedImage {
-    /// Predicts what a sensor should see from a robot at a pose, with the plane of each pixel's polygon.
+    /// Predicts a sensor's image from a robot at a pose, with the plane of each pixel's polygon.
     ///
     /// # Errors
     /// Those of [`Predictor::predict_images`].
@@ -153,7 +127,7 @@ impl ExpectedImage {
         .with_marks(world))
     }
 
-    /// Notes which pixels see parts that are marked as uncertain.
+    /// Marks the pixels that see parts of objects marked as uncertain.
     fn with_marks(mut self, world: &World) -> Self {
         let environment = world.environment();
         if environment.marks().any(|(_, mark)| mark.kind == MarkKind::Uncertain) {
@@ -167,7 +141,7 @@ impl ExpectedImage {
         self
     }
 
-    /// The probability that an object exists, as the environment has it: 1 without stored trust.
+    /// The stored probability that an object exists; 1 without stored trust.
     pub fn existence(&self, object: u32) -> f64 {
         if self.existence.is_empty() { 1.0 } else { self.existence.get(&object).copied().unwrap_or(1.0) }
     }

@@ -1,58 +1,35 @@
-//! The verdict of each pixel.
+//! Judges each pixel.
 
-use super::ExpectedImage;
-use super::expected::{ExpectedPixel, body_from_image};
+use super::expected::{ExpectedImage, TASK, body_from_image};
+use super::pixel::ExpectedPixel;
 use super::surfaces::ObjectError;
 use glam::DVec3;
 use presight_model::geometry::{Pose, PoseEstimate};
 use presight_model::matrix::{quadratic, sandwich, turn};
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::sensor::Sensor;
+use presight_model::statistics::NOISE_BOUND;
 use presight_model::threads::parallel_or_here;
 use rayon::prelude::*;
 
-/// What one measured pixel says of the prediction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Verdict {
-    /// What was predicted is there.
-    Confirmed,
-    /// Something unknown stands before it.
-    Nearer,
-    /// The ray passed through what should be there.
-    Farther,
-    /// Something was predicted, and nothing was measured.
-    NoReturn,
-    /// Nothing was predicted within the sensor's reach, and nothing is there.
-    Beyond,
-    /// An edge, or another surface within the uncertainty of the pixel, explains the measurement as well.
-    Undecidable,
-    /// Nothing was predicted that the measurement could be compared with.
-    NotPredicted,
-}
-
-impl Verdict {
-    /// All of them, in the order of [`Verdicts::counts`].
-    pub const ALL: [Self; 7] = [
-        Self::Confirmed,
-        Self::Nearer,
-        Self::Farther,
-        Self::NoReturn,
-        Self::Beyond,
-        Self::Undecidable,
-        Self::NotPredicted,
-    ];
-
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Confirmed => "confirmed",
-            Self::Nearer => "nearer",
-            Self::Farther => "farther",
-            Self::NoReturn => "no_return",
-            Self::Beyond => "beyond",
-            Self::Undecidable => "undecidable",
-            Self::NotPredicted => "not_predicted",
-        }
+presight_model::words! {
+    /// The result of comparing a measured pixel with its prediction.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+    pub enum Verdict {
+        /// The measurement agrees with the predicted surface.
+        Confirmed = "confirmed",
+        /// An unknown object is in front of the predicted surface.
+        Nearer = "nearer",
+        /// The ray passed through the predicted surface.
+        Farther = "farther",
+        /// A surface was predicted, but the pixel has no measurement.
+        NoReturn = "no_return",
+        /// Neither the prediction nor the measurement has a surface within the sensor's range.
+        Beyond = "beyond",
+        /// An edge, or another surface within the uncertainty of the pixel, explains the measurement as well.
+        Undecidable = "undecidable",
+        /// There is no prediction to compare with the measurement.
+        NotPredicted = "not_predicted",
     }
 }
 
@@ -83,15 +60,10 @@ impl Verdicts {
     }
 }
 
-/// A difference beyond so many standard deviations is none of noise: 1 in 1,000 of Gaussian ones.
-const BOUND: f64 = 3.3;
-/// Widest window on either side of a pixel.
+/// Maximum half width of the window around a pixel, pixels; bounds the time for an uncertain pose.
 const WIDEST: i64 = 16;
-/// Fewest pixels of one task.
-const TASK: usize = 512;
-
-/// Compares a frame with what was expected of it, see [`super::of_frame`]. The pose may differ a little from the one of
-/// the prediction: ranges are taken on the predicted planes.
+/// Compares a frame with its prediction; see [`super::of_frame`]. The pose may differ slightly from the predicted one,
+/// because ranges are computed on the predicted planes.
 ///
 /// # Panics
 /// If the expected image is of another sensor.
@@ -113,11 +85,11 @@ pub fn judge(frame: &Frame, expected: &ExpectedImage, robot: &PoseEstimate, poly
     Verdicts { width: width as u32, height: height as u32, pixels, difference }
 }
 
-/// A range outside the limits is one of REP-117's.
-fn as_measured(z: f64, (least, most): (f64, f64)) -> f64 {
-    if z < least {
+/// A range outside the limits becomes an infinity, as in REP-117.
+fn as_measured(z: f64, (min, max): (f64, f64)) -> f64 {
+    if z < min {
         f64::NEG_INFINITY
-    } else if z > most {
+    } else if z > max {
         f64::INFINITY
     } else {
         z
@@ -127,20 +99,20 @@ fn as_measured(z: f64, (least, most): (f64, f64)) -> f64 {
 struct PixelJudge<'a> {
     expected: &'a ExpectedImage,
     noise: RangeNoise,
-    /// Rotation of rays and place of the sensor, in the expected image's frame.
+    /// Rotation of rays and position of the sensor, in the expected image's frame.
     expected_from_now: Pose,
-    /// Variance of each pixel's polygon along its normal, by the robot's pose and by its own; square metres.
+    /// Variance of each pixel's polygon along its normal, from the robot's pose and from the object's; square metres.
     off: Vec<f64>,
-    /// Root of the largest variance, metres and radians.
+    /// Standard deviations of the robot's pose over all axes together, metres and radians.
     translation: f64,
     rotation: f64,
 }
 
-/// What the window around a pixel holds.
+/// The predicted ranges in the window around a pixel.
 struct PixelWindow {
     nearest: f64,
     farthest: f64,
-    /// Some pixel of it has no prediction.
+    /// True if a pixel of the window has no prediction.
     open: bool,
 }
 
@@ -173,7 +145,7 @@ impl<'a> PixelJudge<'a> {
         }
     }
 
-    /// Predicted range on the plane of a pixel along a ray, and its standard deviation; `None` where nothing is predicted.
+    /// Predicted range on the plane of a pixel along a ray, and its standard deviation; `None` without a prediction.
     fn on_plane(&self, at: usize, ray: DVec3, measured: f64) -> Option<(f64, f64)> {
         let pixel = &self.expected.pixels[at];
         if !pixel.range.is_finite() {
@@ -183,7 +155,7 @@ impl<'a> PixelJudge<'a> {
         let centre = self.expected_from_now.translation;
         let slope = normal.dot(ray);
         let range = (f64::from(pixel.offset) - normal.dot(centre)) / slope;
-        // Edge-on, or the pixel's plane is behind the ray: the pixel's own range is what there is.
+        // If the plane is edge-on or behind the ray, only the pixel's own range is left.
         let range = if range > 0.0 && slope.abs() > 1e-3 { range } else { f64::from(pixel.range) };
         let cos = slope.abs().max(1e-3);
         let off = self.off[at];
@@ -198,8 +170,8 @@ impl<'a> PixelJudge<'a> {
         let at = row * e.width + column;
         let range = if z.is_finite() { z } else { f64::from(e.pixels[at].range) };
         let range = if range.is_finite() { range.max(0.1) } else { 1.0 };
-        let angle = BOUND * (self.rotation + self.translation / range + self.noise.angle);
-        // Half a pixel more: a polygon's edge may be anywhere between two rays.
+        let angle = NOISE_BOUND * (self.rotation + self.translation / range + self.noise.angle);
+        // Half a pixel is added because a polygon's edge may be anywhere between two rays.
         let half = |spacing: f64| ((angle / spacing + 0.5).ceil() as i64).clamp(i64::from(spacing.is_finite()), WIDEST);
         let (hu, hv) = (half(e.spacing.0), half(e.spacing.1));
         let (hu, hv) = (hu.min(e.width as i64 - 1), hv.min(e.height as i64 - 1));
@@ -210,21 +182,21 @@ impl<'a> PixelJudge<'a> {
                     continue;
                 }
                 let j = v as usize * e.width + u as usize;
-                // A neighbour counts with its own range and with where its plane would be met here.
+                // A neighbour contributes its own range and the range at which this ray would meet its plane.
                 let Some((on_plane, sigma)) = self.on_plane(j, ray, z) else {
                     window.open = true;
                     continue;
                 };
                 let own = f64::from(e.pixels[j].range);
                 let (low, high) = if j == at { (on_plane, on_plane) } else { (own.min(on_plane), own) };
-                window.nearest = window.nearest.min(low - BOUND * sigma);
-                window.farthest = window.farthest.max(high + BOUND * sigma);
+                window.nearest = window.nearest.min(low - NOISE_BOUND * sigma);
+                window.farthest = window.farthest.max(high + NOISE_BOUND * sigma);
             }
         }
         window
     }
 
-    fn pixel(&self, column: usize, row: usize, z: f64, (least, most): (f64, f64)) -> (Verdict, f64) {
+    fn pixel(&self, column: usize, row: usize, z: f64, (min, max): (f64, f64)) -> (Verdict, f64) {
         let e = self.expected;
         let at = row * e.width + column;
         let Some(ray) = e.sensor.ray(column as u32, row as u32) else { return (Verdict::NotPredicted, f64::NAN) };
@@ -234,9 +206,10 @@ impl<'a> PixelJudge<'a> {
         if e.is_uncertain(at) {
             return (Verdict::Undecidable, predicted);
         }
-        // The window holds the pixel itself: what it confirms is neither nearer nor farther than all of them.
+        // The window includes this pixel, so a range that agrees with it is neither nearer nor farther than all of
+        // them.
         if let Some((range, sigma)) = here
-            && (z - range).abs() <= BOUND * sigma
+            && (z - range).abs() <= NOISE_BOUND * sigma
         {
             return (Verdict::Confirmed, predicted);
         }
@@ -247,13 +220,13 @@ impl<'a> PixelJudge<'a> {
         } else if z == f64::INFINITY {
             match (empty, window.open) {
                 (true, _) => Verdict::Beyond,
-                (false, false) if window.farthest < most => Verdict::Farther,
+                (false, false) if window.farthest < max => Verdict::Farther,
                 _ => Verdict::Undecidable,
             }
         } else if z == f64::NEG_INFINITY {
             if e.pixels[at].range == f32::NEG_INFINITY {
                 Verdict::Confirmed
-            } else if window.nearest > least && !empty {
+            } else if window.nearest > min && !empty {
                 Verdict::Nearer
             } else {
                 Verdict::Undecidable

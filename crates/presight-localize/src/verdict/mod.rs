@@ -1,16 +1,18 @@
-//! Verdicts: what a measured image says of the model, pixel by pixel.
+//! Verdicts: the comparison of a measured image with the model, pixel by pixel.
 //!
-//! [`of_frame`] predicts the exact plane of each pixel's polygon and compares a [`Frame`] with
-//! it: each pixel is confirmed, nearer, farther and so on ([`Verdict`]), tight by what is known of the noise and of the pose.
+//! [`of_frame`] predicts the exact plane of each pixel's polygon and compares a [`Frame`] with it: each pixel is
+//! confirmed, nearer, farther and so on ([`Verdict`]). The bounds follow from the noise of the sensor and the
+//! uncertainty of the pose.
 
 mod expected;
 mod judge;
+mod pixel;
 mod strided;
 mod surfaces;
 
-pub use expected::body_from_image;
-pub use expected::{ExpectedImage, ExpectedPixel};
+pub use expected::{ExpectedImage, body_from_image};
 pub use judge::{Verdict, Verdicts, judge};
+pub use pixel::ExpectedPixel;
 pub use strided::LANES;
 pub use surfaces::{ObjectError, Surface, Surfaces};
 
@@ -22,7 +24,7 @@ use presight_predict::predict::Predictor;
 
 /// Compares a frame of ranges with what its sensor should measure from a robot at this pose.
 ///
-/// The sensor's mount leads from the robot to the sensor. A pixel is compared with all that is predicted within its
+/// The sensor's mount leads from the robot to the sensor. A pixel is compared with all surfaces predicted within its
 /// uncertainty: the standard deviation of a range is `s^2 = s_z^2 + (z s_a tan i)^2 + (J C J' + P) / cos^2 i`, with s_z
 /// and s_a the sensor's noise, i the angle of incidence, C the covariance of the pose, and P that of the object's pose,
 /// from the feature layer of the sensor's class. Nearer than the nearest by 3.3 s is [`Verdict::Nearer`], farther than

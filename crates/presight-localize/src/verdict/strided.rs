@@ -1,25 +1,28 @@
-//! Predicted points in the order in which windows of an image are looked through: every so many columns, side by side.
+//! Predicted points in the order in which windows of an image are searched: columns that are one stride apart lie side
+//! by side.
 
-use super::ExpectedPixel;
+use super::pixel::ExpectedPixel;
 use std::sync::OnceLock;
 
-/// Points that are looked at in one go.
+/// Points compared by one vector instruction: the f32 lanes of AVX-512.
 pub const LANES: usize = 16;
-/// Wider steps find too little in an image to be worth an order of their own.
+/// Maximum stride with an order in memory: windows with wider steps contain few points of an image.
 const WIDEST: usize = 16;
-/// Places before and after a row, so that no window ends outside: windows reach seven steps beyond an image, and their middles as far.
+/// Padding before and after a row, points. Windows reach seven steps beyond an image, and so do their middles, which is
+/// fourteen.
 const AROUND: usize = 16;
 
-/// The points of an image, ordered anew when first asked for. Columns that the image has not are NaN, as pixels without a point are.
+/// The points of an image, by stride, each order made at its first use. Columns outside the image and pixels without a
+/// point are NaN.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct StridedPoints {
     by_stride: [OnceLock<Strided>; WIDEST],
 }
 
-/// All columns that leave one remainder by the stride, side by side, then those of the next.
+/// Columns grouped by their remainder modulo the stride.
 #[derive(Clone, Debug)]
 struct Strided {
-    /// Places of one row and remainder.
+    /// Number of points in one row and remainder, padding included.
     length: usize,
     axes: [Vec<f32>; 3],
 }
@@ -37,18 +40,18 @@ impl Strided {
     }
 }
 
-/// Rows of a window: from a column on, each point `stride` columns after the one before.
+/// Rows of a window, which begin in one column and take every `stride`-th column from there.
 pub(crate) struct WindowRows<'a> {
     pixels: &'a [ExpectedPixel],
     width: usize,
     first: i32,
     stride: usize,
-    /// The ordered points, where a row of these columns begins, and how far it is from row to row.
+    /// The ordered points, the index at which a row of these columns begins, and the distance between rows.
     ordered: Option<(&'a [Vec<f32>; 3], usize, usize)>,
 }
 
 impl StridedPoints {
-    /// The rows that begin in a column.
+    /// The rows that begin in column `first`.
     #[inline(always)]
     pub fn rows<'a>(&'a self, pixels: &'a [ExpectedPixel], width: usize, first: i32, stride: usize) -> WindowRows<'a> {
         let (step, phase) = (first.div_euclid(stride as i32), first.rem_euclid(stride as i32) as usize);
@@ -88,10 +91,10 @@ impl WindowRows<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::verdict::expected::NOTHING;
+    use crate::verdict::pixel::NOTHING;
     use glam::Vec3;
 
-    /// Whatever the stride, and wherever the window begins: each lane has the point of its column, and NaN where there is none.
+    /// For every stride and first column, each lane has the point of its column, or NaN outside the image.
     #[test]
     fn lanes_have_the_points_of_their_columns() {
         let (width, height) = (37, 3);

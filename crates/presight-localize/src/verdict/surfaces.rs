@@ -1,4 +1,4 @@
-//! The planes of polygons by slot, worked out when first seen.
+//! The planes of polygons by slot, computed at their first use.
 
 use glam::DVec3;
 use presight_model::geometry::{InObject, Plane, PoseCovariance, plane_of_polygon};
@@ -14,22 +14,22 @@ pub struct Surface {
     pub plane: Plane,
     /// Index of the object.
     pub object: u32,
-    /// Number of the polygons that share an error with this one: polygons of one object that lie about in one plane.
+    /// Number of the group of polygons that share an error with this one: those of one object in nearly one plane.
     pub group: u32,
 }
 
-/// What is stored of how far off an object may be.
+/// The stored error of an object's pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObjectError {
-    /// Where the object's frame is, world frame, metres.
+    /// Origin of the object's frame in the world, metres.
     pub origin: DVec3,
     /// Covariance of the object's pose, world axes.
     pub covariance: Matrix,
 }
 
 impl ObjectError {
-    /// How a plane's offset changes with the object's pose, at a point x of it with normal n: `[n, (x - origin) cross n]`; all of it
-    /// along the same axes.
+    /// Derivative of a plane's offset by the object's pose, at a point x on the plane with normal n:
+    /// `[n, (x - origin) cross n]`. All arguments have the same axes.
     pub fn gradient(origin: DVec3, point: DVec3, normal: DVec3) -> [f64; 6] {
         let turned = (point - origin).cross(normal);
         [normal.x, normal.y, normal.z, turned.x, turned.y, turned.z]
@@ -39,9 +39,9 @@ impl ObjectError {
 /// Errors of objects, by index of the object.
 pub(crate) type ObjectErrors = Arc<BTreeMap<u32, ObjectError>>;
 
-/// Normals that differ by less than about 15 degrees are of one group.
+/// Normals are grouped by steps of 1 / 4 in each coordinate, about 15 degrees.
 const NORMAL_STEPS: f64 = 4.0;
-/// Planes of one direction whose offsets differ by less are of one group, metres.
+/// Planes are grouped by steps of this offset, metres: two sides of one wall share its error, two walls do not.
 const OFFSET_STEP: f64 = 0.25;
 
 /// The surfaces of one version of a world.
@@ -63,7 +63,7 @@ impl Surfaces {
         }
     }
 
-    /// The stored errors of objects' poses, as the feature layer of a class of sensors has them.
+    /// The errors of objects' poses stored in the feature layer of a class of sensors.
     pub(crate) fn object_errors(&mut self, world: &World, class: &str) -> ObjectErrors {
         if let Some(known) = self.errors.get(class) {
             return known.clone();
@@ -71,7 +71,7 @@ impl Surfaces {
         let environment = world.environment();
         let listed = environment.layer(class).map_or(&[][..], |layer| &layer.pose_covariances);
         let error = |(name, own): &(String, PoseCovariance<InObject>)| {
-            // Of an object that is gone nothing is seen.
+            // An absent object has no visible surface.
             let index = environment.index_of(name).ok()?;
             let pose = &environment.objects()[index as usize].world_from_object;
             let covariance = *own.in_world(pose).as_rows();
@@ -82,7 +82,8 @@ impl Surfaces {
         errors
     }
 
-    /// Works out the surface of an id, the number of its slot plus 1, unless it is known; 0 is no polygon's.
+    /// Computes the surface of a polygon id, which is the number of its slot plus 1, unless it is known. An id of 0
+    /// means no polygon.
     pub fn see(&mut self, world: &World, id: u32) {
         if let Some(slot) = id.checked_sub(1)
             && self.seen(slot).is_none()
@@ -91,12 +92,12 @@ impl Surfaces {
         }
     }
 
-    /// The surface of a slot, if it was worked out.
+    /// The surface of a slot, if it is known.
     pub fn seen(&self, slot: u32) -> Option<&Surface> {
         self.of_slot.get(slot as usize)?.as_ref()
     }
 
-    /// The surface of a slot; `None` if nothing has it, or if its polygon has no plane.
+    /// The surface of a slot; `None` for an empty slot and for a polygon without a plane.
     pub fn of(&mut self, world: &World, slot: u32) -> Option<Surface> {
         if let Some(known) = *self.of_slot.get(slot as usize)? {
             return Some(known);

@@ -7,7 +7,7 @@
 //! a byte 0, or 1 and the value. Matrices are written column by column.
 //!
 //! - environment: text `presight content 3`; list of objects by rising name; list of groups that were given a frame and
-//!   have objects below, by rising path; list of layers that hold something, by rising class; list of marks by rising
+//!   have objects below, by rising path; list of layers with content, by rising class; list of marks by rising
 //!   name; list of (text object; 3 f64 trust as of a feature) by rising object. Version 2: `presight content 2`;
 //!   objects; groups; layers. Version 1: `presight content 1`; objects; layers
 //! - mark: text name; text object; u8: 1 uncertain, 2 absent; optional text class; optional 6 f64: minimum and maximum

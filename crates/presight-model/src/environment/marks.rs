@@ -7,28 +7,16 @@ use crate::limits;
 use glam::DVec3;
 use std::collections::BTreeMap;
 
-/// What a mark says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MarkKind {
-    /// It may or may not be there. It is predicted; verdicts on it are `undecidable`, and estimates give it no weight.
-    Uncertain,
-    /// It is not there for sensors of the mark's class, and is not predicted for them.
-    Absent,
-    /// No sensor saw this region: the surface of the object may continue in the box. It is left out of predictions.
-    Unseen,
-}
-
-impl MarkKind {
-    /// All kinds.
-    pub const ALL: [Self; 3] = [Self::Uncertain, Self::Absent, Self::Unseen];
-
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Uncertain => "uncertain",
-            Self::Absent => "absent",
-            Self::Unseen => "unseen",
-        }
+crate::words! {
+    /// The statement of a mark.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum MarkKind {
+        /// It may or may not be there. It is predicted; verdicts on it are `undecidable`, and estimates give it no weight.
+        Uncertain = "uncertain",
+        /// It is not there for sensors of the mark's class, and is not predicted for them.
+        Absent = "absent",
+        /// No sensor saw this region: the surface of the object may continue in the box. It is left out of predictions.
+        Unseen = "unseen",
     }
 }
 
@@ -101,13 +89,13 @@ impl Environment {
         all.filter(move |mark| mark.kind == kind && mark.object == object && mark.concerns(class))
     }
 
-    /// How sure it is that objects exist, by rising path: probability, last confirmation and decay. Objects that are
-    /// not listed were never looked for.
+    /// Trust in objects, by rising path: probability of existence, last confirmation and decay. Objects that are not
+    /// listed were never verified.
     pub fn trusts(&self) -> impl ExactSizeIterator<Item = (&str, &Existence)> {
         self.beliefs.trust.iter().map(|(object, trust)| (object.as_str(), trust))
     }
 
-    /// How sure it is that an object exists, if that is stored.
+    /// The trust in an object, if it is stored.
     pub fn trust(&self, object: &str) -> Option<&Existence> {
         self.beliefs.trust.get(object)
     }

@@ -1,4 +1,4 @@
-//! The facets of an object, with what noise and planes are computed from.
+//! The facets of an object, with the data for estimates of noise and planes.
 
 use crate::contour::MeshEdges;
 use glam::DVec3;

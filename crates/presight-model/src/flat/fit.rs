@@ -41,7 +41,7 @@ impl Frame {
     }
 }
 
-/// The terms of a surface at a place.
+/// The terms of a surface at a point.
 pub(super) fn terms<const N: usize>([x, y, _]: [f64; 3]) -> [f64; N] {
     let all = [1.0, x, y, x * x, x * y, y * y];
     std::array::from_fn(|k| all[k])
@@ -73,7 +73,7 @@ impl<const N: usize> Fit<N> {
         }
     }
 
-    /// The coefficients; `None` if the places do not determine them.
+    /// The coefficients; `None` if the points do not determine them.
     pub fn solve(&self) -> Option<[f64; N]> {
         solve(self.matrix, self.right)
     }

@@ -39,7 +39,7 @@ pub struct FlatSurface {
     pub area: f64,
 }
 
-/// Which planes are found.
+/// Conditions on planes.
 #[derive(Clone, Copy, Debug)]
 pub struct FlatOptions {
     /// The tolerance in metres; `None` for the noise of the mesh, times [`DEVIATIONS`].

@@ -1,4 +1,4 @@
-//! What remains of a surface without the planes.
+//! The part of a surface that is not on planes.
 
 use super::FlatSurfaces;
 use super::facets::Facets;
@@ -7,7 +7,7 @@ use crate::contour::MeshEdges;
 use crate::geometry::Aabb;
 use glam::DVec3;
 
-/// Tells smooth surfaces from the noise of planes.
+/// Separates smooth surfaces from noisy planes.
 pub struct FlatRest<'a> {
     facets: Facets<'a>,
     /// By polygon: true if it lies on a plane.

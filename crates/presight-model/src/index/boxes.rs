@@ -59,12 +59,14 @@ impl Box32 {
     }
 }
 
-fn down(x: f64) -> f32 {
+/// The next f32 at or below a number.
+pub(super) fn down(x: f64) -> f32 {
     let near = x as f32;
     if f64::from(near) > x { near.next_down() } else { near }
 }
 
-fn up(x: f64) -> f32 {
+/// The next f32 at or above a number.
+pub(super) fn up(x: f64) -> f32 {
     let near = x as f32;
     if f64::from(near) < x { near.next_up() } else { near }
 }

@@ -35,8 +35,10 @@ pub enum IndexKind {
     /// No index: every cluster of every object is tested.
     None,
     /// Spatial-kD tree of objects over one tree per mesh, in the mesh's own frame and shared by its instances.
+    #[doc(hidden)]
     TwoLevel(Params),
     /// An index of polygons, also one of your own ([`SpatialIndex`]). The world rebuilds it over its polygons.
+    #[doc(hidden)]
     Polygons(Box<dyn SpatialIndex>),
 }
 

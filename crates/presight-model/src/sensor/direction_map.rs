@@ -48,7 +48,7 @@ impl PixelBox {
 /// Side of a cell, as a multiple of the half angle of the cones that its level serves.
 const CELL: f64 = 1.5;
 
-/// Number of levels, each for cones twice as wide as those of the level below. For wider cones, other lookups select
+/// Number of levels, each with cones of twice the width of the level below. For wider cones, other lookups select
 /// better.
 const LEVELS: u32 = 3;
 

@@ -266,6 +266,7 @@ impl Sensor {
     }
 
     /// The rays as engines use them.
+    #[doc(hidden)]
     pub fn grid(&self) -> &PixelGrid {
         &self.0.grid
     }
@@ -286,6 +287,7 @@ impl Sensor {
     }
 
     /// Arrangement of rays in tiles, without building any.
+    #[doc(hidden)]
     pub fn ray_layout(&self) -> GroupLayout {
         RayTiles::layout_of(self).0
     }
@@ -294,6 +296,7 @@ impl Sensor {
     ///
     /// # Errors
     /// [`ErrorKind::System`] if there is no memory for them.
+    #[doc(hidden)]
     pub fn ray_tiles(&self) -> Result<&RayTiles> {
         if self.0.tiles.get().is_none() {
             let _ = self.0.tiles.set(RayTiles::new(self)?);

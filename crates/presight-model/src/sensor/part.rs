@@ -43,7 +43,16 @@ impl ImagePart {
 }
 
 impl Sensor {
+    /// The sensor with every `stride`-th column and row of this one.
+    ///
+    /// # Errors
+    /// As [`Sensor::part`].
+    pub fn thinned(&self, stride: u32) -> Result<Self> {
+        self.part(ImagePart { stride: stride.max(1), ..self.whole() })
+    }
+
     /// All columns and rows.
+    #[doc(hidden)]
     #[inline]
     pub fn whole(&self) -> ImagePart {
         ImagePart { first_column: 0, end_column: self.width(), stride: 1 }
@@ -53,6 +62,7 @@ impl Sensor {
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if there is no memory for the ray tables.
+    #[doc(hidden)]
     pub fn part(&self, part: ImagePart) -> Result<Self> {
         let is_whole = part.first_column == 0 && part.end_column == self.width();
         let slot = STRIDES.iter().position(|stride| *stride == part.stride).filter(|_| is_whole);
@@ -97,6 +107,7 @@ impl Sensor {
 
     /// `columns` columns around a heading (radians from the forward axis, counter-clockwise), starting at a multiple of
     /// the largest stride. `None` for sensors whose columns have no order, and if the part would be the whole image.
+    #[doc(hidden)]
     pub fn columns_around(&self, heading: f64, columns: u32) -> Option<ImagePart> {
         if columns >= self.width() || matches!(self.spec().geometry, Geometry::Rays(_)) {
             return None;
@@ -119,6 +130,7 @@ impl Sensor {
     }
 
     /// Heading of a part's columns, counter-clockwise from the forward axis, and the angle they span, degrees.
+    #[doc(hidden)]
     pub fn opening_of(&self, part: &ImagePart) -> [f64; 2] {
         let azimuths: Vec<f64> =
             (part.first_column..part.end_column).filter_map(|column| self.azimuth_of(column)).collect();

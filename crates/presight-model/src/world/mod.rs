@@ -3,7 +3,7 @@
 use crate::change::Change;
 use crate::environment::{Environment, Mesh, Revert};
 use crate::error::Result;
-use crate::index::{IndexKind, WorldIndex};
+use crate::index::{IndexKind, QueryResult, Region, WorldIndex};
 use crate::threads::parallel_or_here;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -52,6 +52,7 @@ impl World {
     }
 
     /// The first version of a world, with an existing index.
+    #[doc(hidden)]
     pub fn of(index: WorldIndex, environment: Environment) -> Self {
         Self {
             environment: Arc::new(environment),
@@ -81,8 +82,21 @@ impl World {
     }
 
     /// Finds polygons of this version.
+    #[doc(hidden)]
     pub fn index(&self) -> &WorldIndex {
         &self.index
+    }
+
+    /// Object and polygon of all polygons whose box meets a region. `found` is memory that queries share.
+    #[doc(hidden)]
+    pub fn polygons_in<'a>(
+        &'a self,
+        region: &Region,
+        found: &'a mut QueryResult,
+    ) -> impl Iterator<Item = (u32, u32)> + use<'a> {
+        found.clear();
+        self.index.query(&self.environment, region, found);
+        found.all().filter_map(move |slot| self.environment.locate(slot))
     }
 
     /// Makes the trees for rays of the meshes of some objects, where there are none; by all threads of a pool if called

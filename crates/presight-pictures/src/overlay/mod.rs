@@ -12,7 +12,7 @@ use std::collections::HashSet;
 /// Maximum length of a curve piece that is drawn straight, radians: it bends by less than a pixel.
 const PIECE: f64 = 0.5 * std::f64::consts::PI / 180.0;
 /// Minimum number of pieces of a curve, for a distorting lens with a narrow field of view.
-const FEWEST: f64 = 16.0;
+const MIN_PIECES: f64 = 16.0;
 /// Height of the legend with its gap, page pixels.
 pub const LEGEND: u32 = TEXT_HEIGHT + 10;
 
@@ -165,7 +165,7 @@ impl<F: Fn(DVec2) -> [f64; 2]> PageView<'_, F> {
     fn curve(&self, pen: &mut Pen<'_>, a: DVec3, b: DVec3) {
         let (near, far) = (a.length(), b.length());
         let angle = a.cross(b).length().atan2(a.dot(b));
-        let pieces = (angle / PIECE).ceil().max(FEWEST);
+        let pieces = (angle / PIECE).ceil().max(MIN_PIECES);
         let at = |s: f64| {
             let (x, y) = (near * (s * angle).sin(), far * ((1.0 - s) * angle).sin());
             let t = x / (x + y);

@@ -4,6 +4,7 @@
 //! deliver images, the log-likelihood of a measured image at each pose or at all headings of each place, and
 //! statistics. The formula and its reasons are in `docs/batches.md`.
 
+mod beam_model;
 mod headings;
 mod likelihood;
 mod panoramas;
@@ -50,8 +51,8 @@ pub struct BatchRequest {
     pub likelihood: Option<RangeLikelihood>,
     /// Headings at which to weigh it for each place. Poses are then places of the sensor; their headings are ignored.
     pub headings: Option<Headings>,
-    /// The height, metres, at which the world is cut immediately for a level one-row scanner; `None` uses the first pose's.
-    /// Results do not depend on it, unless a GPU engine weighs the poses at other heights.
+    /// The height, metres, at which the world is cut immediately for a level one-row scanner; `None` uses the first
+    /// pose's. Results do not depend on it, unless a GPU engine weighs the poses at other heights.
     pub height: Option<f64>,
     /// Include statistics of each prediction.
     pub statistics: bool,
@@ -133,7 +134,7 @@ struct Lane {
 /// Maximum size of the images of a chunk, bytes.
 const CHUNK_BYTES: usize = 64 << 20;
 /// Maximum number of poses of a chunk.
-const MOST: usize = 512;
+const MAX_CHUNK: usize = 512;
 /// Number of poses that are planned before an engine draws them together.
 const TOGETHER: usize = 64;
 
@@ -142,8 +143,8 @@ impl Predictor {
     /// a chunk in memory at most. Images are bit-equal to [`Predictor::predict`]. Results do not depend on chunks and
     /// threads.
     ///
-    /// The view of a level one-row scanner comes from a cut of the world at its height ([`BatchRequest::height`]), kept for
-    /// the version of the world. A GPU draws many poses in one submission.
+    /// The view of a level one-row scanner comes from a cut of the world at its height ([`BatchRequest::height`]), kept
+    /// for the version of the world. A GPU draws many poses in one submission.
     ///
     /// ```
     /// use presight::predict::{BatchRequest, PoseCell, RangeLikelihood};
@@ -188,7 +189,7 @@ impl Predictor {
         let chunk = match request.chunk {
             Some(0) => return Err(Error::usage("a chunk cannot have 0 poses", "give 1 or more, or none")),
             Some(chunk) => chunk,
-            None => (CHUNK_BYTES / task.bytes().max(1)).clamp(count, MOST.max(count)),
+            None => (CHUNK_BYTES / task.bytes().max(1)).clamp(count, MAX_CHUNK.max(count)),
         };
         let chosen = self.choose_way(&task.world, &task.sensor);
         task.by_cut &= self.may_cut();
@@ -381,8 +382,8 @@ impl<'p> Task<'p> {
 }
 
 impl<'p, I: Iterator<Item = SensorPose>> Batch<'p, I> {
-    /// Shows the requested images of each pose to `show`, with the pose's index, on the thread that drew them and in any
-    /// order. Items then have no images, and memory for images is used from pose to pose.
+    /// Shows the requested images of each pose to `show`, with the pose's index, on the thread that drew them and in
+    /// any order. Items then have no images, and memory for images is used from pose to pose.
     ///
     /// ```
     /// use presight::predict::BatchRequest;
@@ -396,7 +397,8 @@ impl<'p, I: Iterator<Item = SensorPose>> Batch<'p, I> {
     /// let count = |_: usize, images: &presight::Images| {
     ///     empty.fetch_add(images.range.iter().filter(|r| r.is_infinite()).count(), Ordering::Relaxed);
     /// };
-    /// let batch = predictor.batch(&world, &presight::preset("laser-scanner")?, vec![SensorPose::IDENTITY; 3], &request)?;
+    /// let (scanner, poses) = (presight::preset("laser-scanner")?, vec![SensorPose::IDENTITY; 3]);
+    /// let batch = predictor.batch(&world, &scanner, poses, &request)?;
     /// for item in batch.shown_to(&count) {
     ///     assert!(item?.images.range.is_empty());
     /// }
@@ -413,7 +415,8 @@ impl<'p, I: Iterator<Item = SensorPose>> Batch<'p, I> {
         self.chunk
     }
 
-    /// Number of poses that each later chunk processes, at least 1: a caller that must not wait long between two items asks for few.
+    /// Number of poses that each later chunk processes, at least 1: a caller that must not wait long between two items
+    /// asks for few.
     pub fn set_chunk(&mut self, poses: usize) {
         self.chunk = poses.max(1);
     }

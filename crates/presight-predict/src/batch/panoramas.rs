@@ -31,6 +31,7 @@ impl Predictor {
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] for places at several heights; [`presight_model::ErrorKind::System`] if
     /// there is no memory for them; the errors of [`Predictor::predict_images`].
+    #[doc(hidden)]
     pub fn panoramas(&mut self, world: &World, headings: &Headings, places: Vec<DVec3>) -> Result<Panoramas> {
         let sensor = headings.panorama();
         let beams = sensor.width() as usize * sensor.height() as usize;
@@ -83,6 +84,7 @@ impl Predictor {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] if the image belongs to another sensor than the panoramas.
+    #[doc(hidden)]
     pub fn weigh_panoramas(&mut self, panoramas: &Panoramas, sensed: &RangeLikelihood) -> Result<Vec<f32>> {
         if sensed.sensor() != panoramas.headings.sensor() {
             let what = "the measured image belongs to another sensor than the panoramas";

@@ -1,6 +1,6 @@
 //! The log-likelihood of a whole image: eight beams at a time, in f64.
 
-use super::likelihood::BeamModel;
+use super::beam_model::BeamModel;
 use std::f64::consts::{LN_2, LOG2_E};
 
 /// Number of beams processed together.
@@ -8,7 +8,7 @@ const LANES: usize = 8;
 
 /// Sums the log-densities of all beams. A type, so that it is compiled for each vector width. The result is bit-equal
 /// for all widths, because the order of operations is fixed and none are fused.
-pub(super) struct HeadingModel<'a> {
+pub(super) struct LogDensitySum<'a> {
     pub model: &'a BeamModel,
     /// Three images of equal size: measured ranges, predicted ranges, predicted cosines.
     pub sensed: &'a [f32],
@@ -16,7 +16,7 @@ pub(super) struct HeadingModel<'a> {
     pub cos_incidence: &'a [f32],
 }
 
-impl pulp::WithSimd for HeadingModel<'_> {
+impl pulp::WithSimd for LogDensitySum<'_> {
     type Output = f64;
 
     #[inline(always)]

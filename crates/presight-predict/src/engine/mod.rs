@@ -129,36 +129,24 @@ pub trait Device {
     fn work(&self) -> Work;
 }
 
-/// The engines of presight, in the order of studies' tables.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum EngineKind {
-    /// The simple f64 rasterizer that verifies the others.
-    Reference,
-    /// The CPU engine.
-    Cpu,
-    /// The GPU engine on the most capable adapter, including software adapters.
-    Gpu,
-    /// The GPU engine with the hardware rasterizer for pinhole cameras.
-    GpuRender,
-    /// The GPU engine with 32-bit keys in two passes, every stage on the device.
-    GpuNarrow,
+presight_model::words! {
+    /// The engines of presight, in the order of studies' tables.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    pub enum EngineKind {
+        /// The simple f64 rasterizer that verifies the others.
+        Reference = "reference",
+        /// The CPU engine.
+        Cpu = "cpu",
+        /// The GPU engine on the most capable adapter, including software adapters.
+        Gpu = "gpu",
+        /// The GPU engine with the hardware rasterizer for pinhole cameras.
+        GpuRender = "gpu-render",
+        /// The GPU engine with 32-bit keys in two passes, every stage on the device.
+        GpuNarrow = "gpu-32-bit",
+    }
 }
 
 impl EngineKind {
-    /// Every engine.
-    pub const ALL: [Self; 5] = [Self::Reference, Self::Cpu, Self::Gpu, Self::GpuRender, Self::GpuNarrow];
-
-    /// Name in tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Reference => "reference",
-            Self::Cpu => "cpu",
-            Self::Gpu => "gpu",
-            Self::GpuRender => "gpu-render",
-            Self::GpuNarrow => "gpu-32-bit",
-        }
-    }
-
     /// True if it needs a GPU adapter.
     pub fn needs_device(self) -> bool {
         matches!(self, Self::Gpu | Self::GpuRender | Self::GpuNarrow)

@@ -14,7 +14,7 @@ pub(super) struct Growable {
 }
 
 /// Minimum size, bytes.
-const LEAST: u64 = 1 << 12;
+const MIN_BYTES: u64 = 1 << 12;
 
 impl Growable {
     /// Creates a storage buffer.
@@ -25,7 +25,7 @@ impl Growable {
 
     /// Creates a buffer for any usage. `bound`: the whole buffer is bound, so the device's limit for bindings applies.
     pub fn new(gpu: &Gpu, label: &'static str, usage: wgpu::BufferUsages, bound: bool) -> Self {
-        let buffer = create(gpu, label, usage, LEAST);
+        let buffer = create(gpu, label, usage, MIN_BYTES);
         Self { label, usage, buffer, bound }
     }
 
@@ -85,9 +85,9 @@ impl Mapping {
     /// Requests the mapping; [`Mapping::check`] reports the result after [`Gpu::wait`].
     fn ask(&self, buffer: &wgpu::Buffer, mode: wgpu::MapMode, bytes: u64) {
         self.0.store(WAITING, Ordering::Release);
-        let told = self.0.clone();
+        let state = self.0.clone();
         buffer.map_async(mode, 0..bytes, move |mapped| {
-            told.store(if mapped.is_ok() { MAPPED } else { REFUSED }, Ordering::Release);
+            state.store(if mapped.is_ok() { MAPPED } else { REFUSED }, Ordering::Release);
         });
     }
 

@@ -6,7 +6,8 @@
 
 use super::GpuEngine;
 use super::layout::Counters;
-use super::submission::{Part, Submission};
+use super::part::Part;
+use super::submission::Submission;
 use presight_model::clock::Instant;
 use presight_model::error::Result;
 use presight_render::deadline::{DeadlineEngine, DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Wave};
@@ -17,7 +18,7 @@ use std::time::Duration;
 /// Pessimistic costs before any were learnt.
 const UNKNOWN: Pace = Pace { wave: 1e-3, polygon: 1e-6, sample: 1e-8, saved: [0.0; 3], drawing: 0.0 };
 /// Polygons; a smaller piece is not worth a submission.
-const LEAST_PIECE: u64 = 256;
+const MIN_PIECE: u64 = 256;
 /// Safety margin for ranges rounded to f32: a pixel is final only if it is nearer than the nearest undrawn surface by
 /// this share. Rounding moves a range less, except on polygons met at less than about 1e-4 rad.
 const ROUNDING: f32 = 1.0 / 256.0;
@@ -145,7 +146,7 @@ impl<'a> Pieces<'a> {
             }
             (end, polygons, samples, self.estimate) = (end + 1, polygons + more, samples + covered, estimate);
         }
-        let is_worth_it = end > done && (polygons >= LEAST_PIECE || end == self.plan.runs.len());
+        let is_worth_it = end > done && (polygons >= MIN_PIECE || end == self.plan.runs.len());
         if !is_worth_it {
             return None;
         }

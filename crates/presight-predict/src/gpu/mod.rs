@@ -7,7 +7,7 @@
 //! |---|---|---|
 //! | sift | `sift.wgsl`, from the second wave on | `cpu::cull`, for whole runs |
 //! | cull | `cull.wgsl` and one of `cull_camera`, `cull_scanner`, `cull_rays` | `cpu::setup` |
-//! | setup | `setup.wgsl`, `items_lines` or `items_rays` | `cpu::setup`; `near` for flat polygons around the sensor, in f64 |
+//! | setup | `setup.wgsl`, `items_lines` or `items_rays` | `cpu::setup`; `near` for flat polygons at the sensor |
 //! | raster | `raster_lines.wgsl` or `raster_rays.wgsl`, `key32` or `key64` | `cpu::raster_lines`, `cpu::raster_rays` |
 //! | draw, for [`Raster::Render`] | `shape.wgsl` in setup, `draw.wgsl`, `key32` or `key64` | `cpu::raster_lines` |
 //! | farthest | `farthest.wgsl`, between waves | `cpu::cull` |
@@ -26,6 +26,7 @@ mod grid;
 mod in_time;
 mod layout;
 mod near;
+mod part;
 mod roi;
 mod shaders;
 mod shown;
@@ -48,6 +49,7 @@ use frame_buffers::{FrameBuffers, Readback};
 use geometry::Arena;
 use grid::Tables;
 use layout::{Counters, GridKind};
+use part::Part;
 use presight_features::OcclusionHint;
 use presight_model::clock::Instant;
 use presight_model::error::Result;
@@ -56,7 +58,7 @@ use presight_model::threads::Threads;
 use presight_render::plan::{CountName, FramePlan, Images, NOTHING_IN_VIEW, Raster, StageName, Stats, Work};
 use shown::Shown;
 use stages::Stages;
-use submission::{Part, Submission};
+use submission::Submission;
 use uploads::FrameUploads;
 use visible::Visible;
 
@@ -196,9 +198,10 @@ impl GpuEngine {
     /// Fills the requested images; `depth_z` only for cameras.
     ///
     /// # Errors
-    /// [`presight_model::error::ErrorKind::DeviceLost`]: the engine must be built again. [`presight_model::ErrorKind::DeviceMemory`]: smaller tasks may still
-    /// succeed. The errors of [`presight_model::Pose::check`] if the plan's pose was changed. On a software adapter,
-    /// which leaves work to the CPU, also the errors of [`Threads::new`].
+    /// [`presight_model::error::ErrorKind::DeviceLost`]: the engine must be built again.
+    /// [`presight_model::ErrorKind::DeviceMemory`]: smaller tasks may still succeed. The errors of
+    /// [`presight_model::Pose::check`] if the plan's pose was changed. On a software adapter, which leaves work to the
+    /// CPU, also the errors of [`Threads::new`].
     pub fn render(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<()> {
         plan.world_from_sensor.check()?;
         stats.engine = "gpu";

@@ -101,8 +101,8 @@ mod tests {
         magnitudes.fold(0.0, f32::max)
     }
 
-    /// Vulkan states the precision of a division for divisors up to 2^126 only. Beyond, an H100 answers 0: scanners lost
-    /// the polygons around their poles.
+    /// Vulkan states the precision of a division for divisors up to 2^126 only. Beyond, an H100 answers 0: scanners
+    /// lost the polygons around their poles.
     #[test]
     fn no_number_is_too_great_to_divide_by() {
         for (name, text) in UNITS {
@@ -251,7 +251,7 @@ mod tests {
         for (name, ours) in [
             ("KIND", presight_features::roi::KIND),
             ("POINTS", roi::MAX_POINTS),
-            ("MOST", presight_features::roi::MOST),
+            ("MAX_SIDE_POINTS", presight_features::roi::MAX_SIDE_POINTS),
             ("EVENTS", presight_features::roi::EVENTS),
             ("TAIL_CELLS", presight_model::statistics::TAIL_CELLS),
             ("TAIL_COLUMNS", presight_model::statistics::TAIL_COLUMNS),

@@ -3,7 +3,8 @@
 
 use super::GpuEngine;
 use super::layout::Counters;
-use super::submission::{Part, Submission};
+use super::part::Part;
+use super::submission::Submission;
 use super::weigh;
 use presight_model::clock::Instant;
 use presight_model::error::Result;

@@ -1,4 +1,4 @@
-//! The parts that a prediction with a deadline gave up, the costs of predictions, and which of the fast ways are in time.
+//! Predictions with a deadline: the parts that were given up, the costs, and the ways that finish in time.
 
 use super::{Prediction, Predictor};
 use crate::request::Request;
@@ -85,8 +85,8 @@ impl Predictor {
         })
     }
 
-    /// The cut of the world for a level scanner of one row, if it is known or due. With a deadline, the row and any new cut
-    /// must be certain to finish in time.
+    /// The cut of the world for a level scanner of one row, if it is known or due. With a deadline, the row and any new
+    /// cut must be certain to finish in time.
     pub(super) fn find_cut(&self, vantage: &Vantage<'_>, timed: Option<&DeadlineFrame>) -> Option<Arc<RowCut>> {
         let Vantage { world, sensor, world_from_sensor } = *vantage;
         if !self.may_cut() || !self.engine.draws_cuts() || !is_row(sensor) {
@@ -122,6 +122,7 @@ impl Predictor {
     }
 
     /// Replaces the system clock, for tests.
+    #[doc(hidden)]
     pub fn set_clock(&mut self, clock: Arc<dyn Clock>) {
         self.controller.set_clock(clock);
     }

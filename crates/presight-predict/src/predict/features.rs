@@ -283,18 +283,18 @@ impl Predictor {
     fn prove_regions(&mut self, sensor: &Sensor) -> Result<()> {
         let Some(device) = self.engine.device().filter(|device| device.takes_features()) else { return Ok(()) };
         let task = SensorKind::of(sensor);
-        let known = self.proven.regions.iter().find(|(of, _)| *of == task).map(|(_, told)| *told);
-        let told = match known {
-            Some(told) => told,
+        let known = self.proven.regions.iter().find(|(of, _)| *of == task).map(|(_, check)| *check);
+        let check = match known {
+            Some(check) => check,
             None => {
-                let told = Probe::new()?.regions(task, device)?;
-                self.proven.regions.push((task, told));
-                told
+                let check = Probe::new()?.regions(task, device)?;
+                self.proven.regions.push((task, check));
+                check
             }
         };
-        match told.wrong {
+        match check.wrong {
             0 => Ok(()),
-            wrong => Err(faulty(device, format!("makes {wrong} of {} regions of a probe wrong", told.all))),
+            wrong => Err(faulty(device, format!("makes {wrong} of {} regions of a probe wrong", check.all))),
         }
     }
 

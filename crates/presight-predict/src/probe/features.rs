@@ -57,16 +57,16 @@ impl Probe {
         let of = of.flat_map(|(samples, seen)| samples.iter().map(|_| seen.visible_fraction > 0.0));
         let placed: Vec<_> = placed.iter().collect();
         let hints = device.query_occlusion(&FeatureSamples { samples: &samples, placed: &placed, sensor: &sensor })?;
-        let mut told = DeviceCheck { all: hints.len(), ..DeviceCheck::default() };
+        let mut check = DeviceCheck { all: hints.len(), ..DeviceCheck::default() };
         for (hint, visible) in hints.into_iter().zip(of) {
-            told.answered += usize::from(hint != OcclusionHint::Doubt);
-            told.wrong += match hint {
+            check.answered += usize::from(hint != OcclusionHint::Doubt);
+            check.wrong += match hint {
                 OcclusionHint::Hidden(_) => usize::from(visible),
                 OcclusionHint::Seen => usize::from(!visible),
                 OcclusionHint::Doubt => 0,
             };
         }
-        Ok(told)
+        Ok(check)
     }
 
     /// Tests a device's 99 % boxes around points of the scene's polygons against the CPU's.

@@ -18,33 +18,22 @@ use presight_render::reference;
 use presight_render::verify::{Precision, Report, compare};
 use std::sync::Arc;
 
-/// A kind of sensor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum SensorKind {
-    /// A pinhole camera: spans along rows.
-    Camera,
-    /// A scanner of many rows: spans along columns.
-    Scanner,
-    /// A scanner of one row.
-    Row,
-    /// A ray table: distorted lenses and free directions.
-    Rays,
+presight_model::words! {
+    /// A kind of sensor.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    pub enum SensorKind {
+        /// A pinhole camera: spans along rows.
+        Camera = "camera",
+        /// A scanner of many rows: spans along columns.
+        Scanner = "scanner",
+        /// A scanner of one row.
+        Row = "one-row scanner",
+        /// A ray table: distorted lenses and free directions.
+        Rays = "ray table",
+    }
 }
 
 impl SensorKind {
-    /// Every kind.
-    pub const ALL: [Self; 4] = [Self::Camera, Self::Scanner, Self::Row, Self::Rays];
-
-    /// Name for messages.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Camera => "camera",
-            Self::Scanner => "scanner",
-            Self::Row => "one-row scanner",
-            Self::Rays => "ray table",
-        }
-    }
-
     /// The kind of a sensor.
     pub fn of(sensor: &Sensor) -> Self {
         match sensor.grid() {

@@ -245,8 +245,9 @@ impl Corridor {
     }
 
     /// Distance along the corridor, metres, of a point in its frame: along the line to the point nearest to it, along
-    /// the path that the footprint travels until it covers the point, or from the robot's origin in a polygon. If several
-    /// straight pieces of a line are within half the width, the first one counts. Returns `None` outside the corridor.
+    /// the path that the footprint travels until it covers the point, or from the robot's origin in a polygon. If
+    /// several straight pieces of a line are within half the width, the first one counts. Returns `None` outside the
+    /// corridor.
     pub fn arc_length_at(&self, [x, y, z]: [f64; 3]) -> Option<f64> {
         if z >= self.z_min && z <= self.z_max { self.arc_length_from_above(DVec2::new(x, y)) } else { None }
     }

@@ -72,11 +72,11 @@ impl Docking {
             let open: Vec<&str> = self.unobservable.iter().map(|u| u.name.as_str()).collect();
             return format!("{seen}; the pose is not fixed: {}", open.join(", "));
         };
-        let told = self.freedom.iter().zip(sigmas).map(|(axis, sigma)| match *axis {
+        let deviations = self.freedom.iter().zip(sigmas).map(|(axis, sigma)| match *axis {
             "x" | "y" | "z" => format!("{axis} {:.2} mm", sigma * 1e3),
             _ => format!("{axis} {:.4} deg", sigma.to_degrees()),
         });
-        format!("{seen}; one sigma: {}", told.collect::<Vec<_>>().join(", "))
+        format!("{seen}; one sigma: {}", deviations.collect::<Vec<_>>().join(", "))
     }
 }
 

@@ -114,6 +114,7 @@ impl Mask {
     /// assert_eq!(regions[0].outer, [(0, 0), (0, 3), (3, 3), (3, 0)], "counter-clockwise, rows running down");
     /// assert_eq!(regions[0].holes, [[(2, 1), (2, 2), (1, 2), (1, 1)]]);
     /// ```
+    #[doc(hidden)]
     pub fn regions(&self, every_corner: bool) -> Vec<MaskRegion> {
         let (labels, mut regions) = self.labels();
         // Every outline has a downward step along the left side of a pixel, so each starts there exactly once.

@@ -2,14 +2,14 @@
 //!
 //! | name | sensor class | delivers | in the paper's Table 1 |
 //! |---|---|---|---|
-//! | `free-floor` | `video` | [`FreeFloor`]: visible free floor, as an image mask and as polygons with holes | free motion space: free floor space |
-//! | `edges` | `video` | [`Edges`]: visible segments of the layer | localization for natural landmarks: edges |
-//! | `radar-lines` | `radar` | [`RadarLines`]: line segments in the scan plane | initial and continuous localization: line segments |
-//! | `radar-nearest` | `radar` | [`Nearest`]: nearest obstacle by direction and in a corridor | obstacle detection and free motion space supervision: distance to closest obstacle |
-//! | `radar-landmarks` | `radar` | [`Landmarks`]: positions of the visible artificial landmarks | high precision surveying: position of artificial landmarks |
-//! | `depth-image` | `laser` | [`DepthImage`]: a point for every pixel | 3D distance measurement: 3D-depth image |
-//! | `vertical-planes` | `laser` | [`VerticalPlanes`]: connected regions of vertical planes | localization: vertical planes |
-//! | `docking` | `laser` | [`Docking`]: visible landmarks, and how well they fix the pose | high precision relative localization for docking: artificial landmarks |
+//! | `free-floor` | `video` | [`FreeFloor`]: visible free floor, as a mask and as polygons | free floor space |
+//! | `edges` | `video` | [`Edges`]: visible segments of the layer | localization: edges |
+//! | `radar-lines` | `radar` | [`RadarLines`]: line segments in the scan plane | localization: line segments |
+//! | `radar-nearest` | `radar` | [`Nearest`]: nearest obstacle by direction and in a corridor | closest obstacle |
+//! | `radar-landmarks` | `radar` | [`Landmarks`]: positions of visible artificial landmarks | surveying: landmarks |
+//! | `depth-image` | `laser` | [`DepthImage`]: a point for every pixel | 3D-depth image |
+//! | `vertical-planes` | `laser` | [`VerticalPlanes`]: connected regions of vertical planes | localization: planes |
+//! | `docking` | `laser` | [`Docking`]: visible landmarks, and how well they fix the pose | docking: landmarks |
 //!
 //! Each virtual sensor states its request ([`VirtualSensor::class`], [`VirtualSensor::outputs`], and the feature filter
 //! [`VirtualSensor::wants`]). Its pure function [`VirtualSensor::reduce`] takes a view, which is a prediction or a
@@ -34,12 +34,13 @@ pub use corridor::{Corridor, CorridorFrame};
 pub use depth_image::DepthImage;
 pub use docking::{Docking, Unobservable};
 pub use edges::{Edge, EdgePiece, Edges};
-pub use free_floor::{FLOOR_HEIGHT, FLOOR_TILT, FloorRegion, FreeFloor};
+pub use free_floor::{FLOOR_HEIGHT, FloorRegion, FreeFloor};
 pub use landmarks::{Landmark, Landmarks};
 pub use mask::{Mask, MaskRegion};
-pub use radar_lines::{COLLINEAR, RadarLine, RadarLines};
+pub use pixels::{COPLANAR, TILT};
+pub use radar_lines::{RadarLine, RadarLines};
 pub use radar_nearest::{Directions, InCorridor, Nearest, NearestPoint};
-pub use vertical_planes::{COPLANAR, VERTICAL, VerticalPlane, VerticalPlanes};
+pub use vertical_planes::{VerticalPlane, VerticalPlanes};
 pub use view::{View, ViewIds};
 
 use presight_model::environment::FeatureShape;
@@ -49,25 +50,27 @@ use presight_model::sensor::{Geometry, Scanner, Sensor};
 use presight_render::plan::{Output, Outputs};
 use serde::Serialize;
 
-/// The virtual sensors.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum VirtualSensor {
-    /// Visible free floor, for a camera.
-    FreeFloor,
-    /// Visible segments, for a camera.
-    Edges,
-    /// Line segments in the scan plane, for a radar.
-    RadarLines,
-    /// The nearest obstacle, for a radar.
-    RadarNearest,
-    /// Visible artificial landmarks, for a radar.
-    RadarLandmarks,
-    /// A point for every pixel, for a laser.
-    DepthImage,
-    /// Regions of vertical planes, for a laser.
-    VerticalPlanes,
-    /// Landmarks of a dock and the resulting pose covariance, for a laser.
-    Docking,
+presight_model::words! {
+    /// The virtual sensors.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    pub enum VirtualSensor {
+        /// Visible free floor, for a camera.
+        FreeFloor = "free-floor",
+        /// Visible segments, for a camera.
+        Edges = "edges",
+        /// Line segments in the scan plane, for a radar.
+        RadarLines = "radar-lines",
+        /// The nearest obstacle, for a radar.
+        RadarNearest = "radar-nearest",
+        /// Visible artificial landmarks, for a radar.
+        RadarLandmarks = "radar-landmarks",
+        /// A point for every pixel, for a laser.
+        DepthImage = "depth-image",
+        /// Regions of vertical planes, for a laser.
+        VerticalPlanes = "vertical-planes",
+        /// Landmarks of a dock and the resulting pose covariance, for a laser.
+        Docking = "docking",
+    }
 }
 
 /// Settings of a virtual sensor.
@@ -79,7 +82,7 @@ pub struct Settings {
     pub corridor: Option<Corridor>,
 }
 
-/// The reading of a virtual sensor.
+/// The reading of a virtual sensor. Its serialized form has the keys of the guide to virtual sensors.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct VirtualReading {
     /// [`VirtualSensor::name`].
@@ -87,6 +90,7 @@ pub struct VirtualReading {
     /// The sensor's mount, x, y, z, qx, qy, qz, qw; body axes.
     pub robot_from_sensor: [f64; 7],
     /// The result.
+    #[doc(hidden)]
     #[serde(flatten)]
     pub answer: Answer,
 }
@@ -107,32 +111,6 @@ pub enum Answer {
 }
 
 impl VirtualSensor {
-    /// All virtual sensors.
-    pub const ALL: [Self; 8] = [
-        Self::FreeFloor,
-        Self::Edges,
-        Self::RadarLines,
-        Self::RadarNearest,
-        Self::RadarLandmarks,
-        Self::DepthImage,
-        Self::VerticalPlanes,
-        Self::Docking,
-    ];
-
-    /// The name in the command and in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::FreeFloor => "free-floor",
-            Self::Edges => "edges",
-            Self::RadarLines => "radar-lines",
-            Self::RadarNearest => "radar-nearest",
-            Self::RadarLandmarks => "radar-landmarks",
-            Self::DepthImage => "depth-image",
-            Self::VerticalPlanes => "vertical-planes",
-            Self::Docking => "docking",
-        }
-    }
-
     /// The sensor class that it needs.
     pub fn class(self) -> &'static str {
         match self {
@@ -280,7 +258,7 @@ fn scan_row(scanner: &Scanner) -> Option<u32> {
 impl VirtualReading {
     /// A one-line summary for people.
     pub fn summary(&self) -> String {
-        let told = match &self.answer {
+        let summary = match &self.answer {
             Answer::FreeFloor(a) => a.summary(),
             Answer::Edges(a) => a.summary(),
             Answer::RadarLines(a) => a.summary(),
@@ -290,7 +268,7 @@ impl VirtualReading {
             Answer::VerticalPlanes(a) => a.summary(),
             Answer::Docking(a) => a.summary(),
         };
-        format!("{}: {told}", self.name)
+        format!("{}: {summary}", self.name)
     }
 
     /// The pixels marked in the image, if this virtual sensor marks pixels.

@@ -57,7 +57,7 @@ pub fn read(path: &Path) -> Result<Cloud> {
         "ply" => ply::parse(&bytes),
         "pcd" => pcd::parse(&bytes),
         "csv" => csv::parse(&bytes),
-        _ => Err(Error::invalid("its name ends in none of .ply, .pcd and .csv", "name the file by its format")),
+        _ => Err(Error::invalid("its extension is neither .ply, .pcd nor .csv", "name the file by its format")),
     };
     cloud.and_then(checked).map_err(|e| e.in_file(path))
 }

@@ -1,6 +1,6 @@
 //! Accessors. Every size is checked against its buffer before anything is allocated.
 
-use super::buffers::Buffers;
+use super::buffers::{Buffers, REPAIR};
 use glam::Vec3;
 use gltf::json;
 use json::accessor::{Accessor, ComponentType, Type};
@@ -10,8 +10,6 @@ use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::limits;
 use std::cmp::Ordering;
 use std::collections::HashMap;
-
-const REPAIR: &str = "repair the model or export it again";
 
 /// The parsed file with the bytes of its buffers.
 pub(super) struct Document<'a> {

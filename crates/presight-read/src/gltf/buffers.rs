@@ -1,4 +1,4 @@
-//! The bytes of the buffers, embedded or in files of their own. Each file is read once, however many buffers name it,
+//! The bytes of the buffers, embedded or in separate files. Each file is read once, however many buffers name it,
 //! and only as far as they need.
 
 use super::container::{Container, base64, check_within, local_path};
@@ -10,6 +10,9 @@ use presight_model::error::{Error, ErrorKind, Result};
 use std::collections::HashMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+
+/// The remedy for a model whose parts do not fit each other.
+pub(super) const REPAIR: &str = "repair the model or export it again";
 
 /// All buffers of a scene file.
 #[derive(Default)]
@@ -49,7 +52,7 @@ impl<'a> Buffers<'a> {
     pub fn get(&self, index: usize) -> Result<&[u8]> {
         let Some(&(source, length)) = self.buffers.get(index) else {
             let what = format!("buffer {index} does not exist, there are {}", self.buffers.len());
-            return Err(Error::invalid(what, "repair the model or export it again"));
+            return Err(Error::invalid(what, REPAIR));
         };
         let remedy = "the file is truncated or broken; export it again";
         let whole = self.whole(source).ok_or_else(|| Error::invalid("it has no data", remedy));

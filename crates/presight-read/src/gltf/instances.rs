@@ -1,6 +1,7 @@
 //! Instances of nodes: `EXT_mesh_gpu_instancing`.
 
 use super::accessor::{AccessorCounts, Document};
+use super::buffers::REPAIR;
 use super::memory::Memory;
 use super::nodes::{Instances, SceneNode};
 use super::place_of;
@@ -8,8 +9,6 @@ use glam::{DAffine3, DQuat, DVec3};
 use gltf::json;
 use json::accessor::Type;
 use presight_model::error::{Error, Result};
-
-const REPAIR: &str = "repair the model or export it again";
 
 /// Replaces each node with instances by a node for each of them, with its name and its parent. It keeps its children.
 /// Skinned nodes have no instances, because their transform is ignored.

@@ -1,6 +1,7 @@
 //! The triangles of a glTF mesh: all its primitives, in any topology, with equal positions welded.
 
 use super::accessor::{AccessorCounts, Document, Values, position_accessor};
+use super::buffers::REPAIR;
 use super::nodes::Shape;
 use super::quoted;
 use super::skin::{Posed, RestPose, influence_accessors};
@@ -11,8 +12,6 @@ use json::accessor::Type;
 use json::mesh::{Mode, Primitive};
 use json::validation::Checked;
 use presight_model::error::{Error, Result};
-
-const REPAIR: &str = "repair the model or export it again";
 
 /// The triangles of a mesh, and problems that are not about single triangles.
 pub(super) struct MeshTriangles {

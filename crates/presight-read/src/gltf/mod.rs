@@ -107,7 +107,7 @@ pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Importe
 /// ```
 ///
 /// # Errors
-/// As [`import`]; [`ErrorKind::Unsupported`] if a buffer is in a file of its own.
+/// As [`import`]; [`ErrorKind::Unsupported`] if a buffer is in a separate file.
 pub fn import_bytes(name: impl AsRef<Path>, bytes: &[u8], options: &ImportOptions) -> Result<ImportedScene> {
     check_options(options)?;
     let name = name.as_ref();

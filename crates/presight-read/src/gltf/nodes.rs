@@ -1,5 +1,6 @@
 //! The node hierarchy, read and composed in f64. In f32, UTM coordinates would lose precision.
 
+use super::buffers::REPAIR;
 use super::exact::RootPlacement;
 use super::extensions::is_known;
 use super::memory::Memory;
@@ -10,10 +11,6 @@ use presight_model::limits;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use std::collections::{BTreeMap, BTreeSet};
-
-const REPAIR: &str = "repair the model or export it again";
-/// The parent of a root.
-const NONE: usize = usize::MAX;
 
 /// The part of a glTF file that is read as f64.
 #[derive(Deserialize)]
@@ -199,7 +196,7 @@ impl NodeText {
         let parents = self.parents()?;
         let mut all = vec![None; self.nodes.len()];
         let mut stack: Vec<(usize, DAffine3)> =
-            (0..parents.len()).filter(|&i| parents[i] == NONE).map(|i| (i, DAffine3::IDENTITY)).collect();
+            (0..parents.len()).filter(|&i| parents[i].is_none()).map(|i| (i, DAffine3::IDENTITY)).collect();
         while let Some((index, scene_from_parent)) = stack.pop() {
             let node = &self.nodes[index];
             if let Ok(parent_from_node) = node.transform() {
@@ -212,24 +209,22 @@ impl NodeText {
     }
 
     /// The parent of each node. Checks that the hierarchy is a forest.
-    fn parents(&self) -> Result<Vec<usize>> {
+    fn parents(&self) -> Result<Vec<Option<usize>>> {
         let count = self.nodes.len();
-        let mut parents = vec![NONE; count];
+        let mut parents = vec![None; count];
         for (index, node) in self.nodes.iter().enumerate() {
             for &child in &node.children {
                 if child >= count {
                     return Err(self.error(index, format!("child {child} does not exist, there are {count} nodes")));
                 }
-                if parents[child] != NONE {
-                    let (a, b) = (parents[child], index);
-                    return Err(self.error(child, format!("it has two parents, nodes {a} and {b}")));
+                if let Some(other) = parents[child].replace(index) {
+                    return Err(self.error(child, format!("it has two parents, nodes {other} and {index}")));
                 }
-                parents[child] = index;
             }
         }
         // As each node has at most one parent, nodes that no root reaches form a cycle.
         let mut reached = vec![false; count];
-        let mut stack: Vec<usize> = (0..count).filter(|&i| parents[i] == NONE).collect();
+        let mut stack: Vec<usize> = (0..count).filter(|&i| parents[i].is_none()).collect();
         while let Some(i) = stack.pop() {
             reached[i] = true;
             stack.extend(&self.nodes[i].children);
@@ -241,23 +236,23 @@ impl NodeText {
     }
 
     /// True for each node with a mesh at or below it.
-    fn carriers(&self, parents: &[usize]) -> Vec<bool> {
+    fn carriers(&self, parents: &[Option<usize>]) -> Vec<bool> {
         let mut carries = vec![false; self.nodes.len()];
         for (index, _) in self.nodes.iter().enumerate().filter(|(_, node)| node.mesh.is_some()) {
-            let mut at = index;
-            while at != NONE && !std::mem::replace(&mut carries[at], true) {
-                at = parents[at];
+            let mut at = Some(index);
+            while let Some(node) = at.filter(|&node| !std::mem::replace(&mut carries[node], true)) {
+                at = parents[node];
             }
         }
         carries
     }
 
     /// Roots of the default scene.
-    fn roots(&self, parents: &[usize]) -> Result<Vec<usize>> {
+    fn roots(&self, parents: &[Option<usize>]) -> Result<Vec<usize>> {
         let count = self.nodes.len();
         let Some(scene) = self.scenes.get(self.scene.unwrap_or(0)) else {
             if self.scene.is_none() {
-                return Ok((0..count).filter(|&i| parents[i] == NONE).collect());
+                return Ok((0..count).filter(|&i| parents[i].is_none()).collect());
             }
             let e = Error::invalid(format!("there are {} scenes", self.scenes.len()), REPAIR);
             return Err(e.at(format!("scene {}", self.scene.unwrap_or(0))));
@@ -266,8 +261,8 @@ impl NodeText {
             return Err(Error::invalid(format!("node {n} does not exist, there are {count}"), REPAIR).at("scene"));
         }
         // glTF 2.0, section 3.5.1: nodes listed in a scene must be roots. A child would lose its parent's transform.
-        if let Some(&n) = scene.nodes.iter().find(|&&n| parents[n] != NONE) {
-            let what = format!("the scene lists it as a root, but it is a child of {}", self.named(parents[n]));
+        if let Some((n, parent)) = scene.nodes.iter().find_map(|&n| Some((n, parents[n]?))) {
+            let what = format!("the scene lists it as a root, but it is a child of {}", self.named(parent));
             let remedy = "list the root above it in the scene, or remove it from its parent's children";
             return Err(Error::invalid(what, remedy).at(self.named(n)));
         }

@@ -1,6 +1,7 @@
 //! Skins at rest: joints, not the mesh's own node, place the vertices of a skinned mesh (glTF 2.0, section 3.7.3).
 
 use super::accessor::{AccessorCounts, Document, Values, position_accessor};
+use super::buffers::REPAIR;
 use super::nodes::{NodeText, SceneNode};
 use super::notices::objects;
 use super::place_of;
@@ -13,8 +14,6 @@ use json::validation::Checked;
 use presight_model::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
-
-const REPAIR: &str = "repair the model or export it again";
 
 /// The rest poses of skins, by their numbers.
 pub(super) type RestPoses = BTreeMap<usize, RestPose>;

@@ -1,6 +1,6 @@
 //! Writes an environment as a .glb that every other program can show. [`super::import`] reads it back bit for bit.
 //!
-//! Objects are root nodes named by their full paths. Groups with a frame of their own are root nodes without a mesh.
+//! Objects are root nodes named by their full paths. Groups that define a frame are root nodes without a mesh.
 //! Meshes are triangles by material. `extras.presight` holds the data that glTF cannot express:
 //!
 //! - meshes: convex polygons (`rows`: an accessor with three u32 for each, number of corners, material and source

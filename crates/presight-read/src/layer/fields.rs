@@ -2,7 +2,7 @@
 
 use presight_model::geometry::{InObject, PoseCovariance};
 use serde::de::value::MapAccessDeserializer;
-use serde::de::{Error as _, MapAccess, SeqAccess, Unexpected, Visitor};
+use serde::de::{Error as _, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::value::RawValue;
 use std::fmt;
@@ -128,33 +128,16 @@ fn keyed<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Res
 }
 
 /// A whole number. JSON and the schema also allow 1.0 for 1.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Deserialize)]
+#[serde(try_from = "f64")]
 pub(super) struct Whole(pub u32);
 
-impl<'de> Deserialize<'de> for Whole {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Number;
-        impl Visitor<'_> for Number {
-            type Value = Whole;
+impl TryFrom<f64> for Whole {
+    type Error = String;
 
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a whole number from 0 to 4294967295")
-            }
-
-            fn visit_u64<E: serde::de::Error>(self, v: u64) -> Result<Whole, E> {
-                u32::try_from(v).map(Whole).map_err(|_| E::invalid_value(Unexpected::Unsigned(v), &self))
-            }
-
-            fn visit_i64<E: serde::de::Error>(self, v: i64) -> Result<Whole, E> {
-                u32::try_from(v).map(Whole).map_err(|_| E::invalid_value(Unexpected::Signed(v), &self))
-            }
-
-            fn visit_f64<E: serde::de::Error>(self, v: f64) -> Result<Whole, E> {
-                let fits = (0.0..=f64::from(u32::MAX)).contains(&v) && v.fract() == 0.0;
-                if fits { Ok(Whole(v as u32)) } else { Err(E::invalid_value(Unexpected::Float(v), &self)) }
-            }
-        }
-        deserializer.deserialize_any(Number)
+    fn try_from(v: f64) -> Result<Self, String> {
+        let fits = (0.0..=f64::from(u32::MAX)).contains(&v) && v.fract() == 0.0;
+        fits.then_some(Self(v as u32)).ok_or_else(|| format!("{v} is not a whole number from 0 to 4294967295"))
     }
 }
 

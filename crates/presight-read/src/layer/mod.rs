@@ -56,7 +56,7 @@ pub use fields::FeatureFields;
 pub use merge::{MergedLayers, load, merge, select};
 pub use read::{LayerFile, from_fields, parse, read};
 pub use schema::schema;
-pub use write::{entry, fields as to_fields, to_string, write, write_with_lost};
+pub use write::{entry, fields as to_fields, serializable, to_string, write, write_with_lost};
 
 /// The newest format that this build reads, used for files with contours.
 const FORMAT: u32 = 2;

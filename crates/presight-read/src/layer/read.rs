@@ -1,11 +1,11 @@
 //! Reads and checks layer files.
 
+use super::FORMAT;
 use super::fields::{FeatureFields, Keyed, Kind, LayerFields, PropertyFields, Surface, Whole};
-use super::{FORMAT, FORMAT_WITHOUT_CONTOURS};
-use crate::text::{check_json_memory, from_text};
+use crate::text::{check_json_memory, check_version, from_text};
 use glam::{DMat3, DVec3};
 use presight_model::environment::{DEFAULT_TOLERANCE, Existence, Feature, FeatureLayer, FeatureShape, Properties};
-use presight_model::error::{Error, ErrorKind, Result, short};
+use presight_model::error::{Error, Result, short};
 use presight_model::threads::parallel;
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -30,8 +30,9 @@ pub struct LayerFile {
 /// Reads a layer file.
 ///
 /// # Errors
-/// [`ErrorKind::Invalid`] with the line, or the feature's index and id; [`ErrorKind::Unsupported`] for a newer format;
-/// [`ErrorKind::System`] if the file cannot be read.
+/// [`presight_model::ErrorKind::Invalid`] with the line, or the feature's index and id;
+/// [`presight_model::ErrorKind::Unsupported`] for a newer format; [`presight_model::ErrorKind::System`] if the file
+/// cannot be read.
 pub fn read(path: &Path) -> Result<LayerFile> {
     Ok(LayerFile { path: Some(path.to_owned()), ..from_text(path, parse)? })
 }
@@ -159,22 +160,7 @@ fn format_of(text: &str) -> Result<Option<u32>> {
 }
 
 fn check_format(format: Option<u32>) -> Result<()> {
-    match format {
-        Some(FORMAT | FORMAT_WITHOUT_CONTOURS) => Ok(()),
-        Some(newer) if newer > FORMAT => Err(Error::new(
-            ErrorKind::Unsupported,
-            format!("format {newer} is newer than this presight, which reads formats up to {FORMAT}"),
-            "update presight",
-        )),
-        Some(other) => Err(Error::invalid(
-            format!("format {other} never existed"),
-            format!("write \"format\": {FORMAT_WITHOUT_CONTOURS}"),
-        )),
-        None => Err(Error::invalid(
-            "the file does not name its format",
-            format!("write \"format\": {FORMAT_WITHOUT_CONTOURS} at its top"),
-        )),
-    }
+    check_version(format.map(i64::from), i64::from(FORMAT), "\"format\": 1")
 }
 
 /// The feature of an entry, checked with a layer's tolerance.

@@ -79,6 +79,11 @@ fn json(value: &impl Serialize) -> Result<String> {
     serde_json::to_string(value).map_err(|e| Error::invalid(format!("cannot be written as JSON: {e}"), "").caused_by(e))
 }
 
+/// A feature as an object of a layer file, to be written as JSON.
+pub fn serializable(feature: &Feature) -> impl Serialize + use<> {
+    fields(feature)
+}
+
 /// The keys of a feature, as layer files and stores have them.
 pub fn fields(feature: &Feature) -> FeatureFields {
     let mut to = FeatureFields {

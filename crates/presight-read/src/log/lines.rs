@@ -18,7 +18,7 @@
 use super::readings::{Reading, with_quoted_words};
 use super::{Log, LogFrame, check_time};
 use crate::sensor_toml;
-use crate::text::read_line;
+use crate::text::{FORMAT, check_version, read_line};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::{Pose, RobotPose};
 use presight_model::sensor::{Sensor, SensorSpec};
@@ -28,7 +28,6 @@ use std::io::{BufReader, Take};
 use std::path::{Path, PathBuf};
 
 const KIND: &str = "range-log";
-const FORMAT: i64 = 1;
 const REMEDY: &str = "docs/formats.md describes logs";
 
 /// A log of format 1, read line by line.
@@ -178,14 +177,7 @@ impl Log for Lines {
 fn read_header(line: &str, path: &Path) -> Result<Sensor> {
     let header: Header =
         serde_json::from_str(line).map_err(|e| Error::invalid(format!("not a valid header: {e}"), REMEDY))?;
-    match header.format {
-        Some(FORMAT) => {}
-        Some(newer) if newer > FORMAT => {
-            let what = format!("format {newer} is newer than this presight, which reads format {FORMAT}");
-            return Err(Error::new(ErrorKind::Unsupported, what, "update presight"));
-        }
-        _ => return Err(Error::invalid("the format does not exist", format!("write \"format\": {FORMAT}"))),
-    }
+    check_version(header.format, FORMAT, "\"format\": 1")?;
     if header.kind.as_deref() != Some(KIND) {
         return Err(Error::invalid(
             "this is the header of another kind of file",

@@ -22,7 +22,7 @@ mod tests;
 
 pub use bag_options::BagOptions;
 pub use frames::{Frames, Observation};
-pub use readings::Readings;
+pub use readings::notice_of_readings;
 
 use super::file;
 use super::text::read_line;

@@ -85,6 +85,13 @@ fn word_length(text: &str) -> usize {
     1 + text.bytes().skip(1).take_while(u8::is_ascii_alphabetic).count()
 }
 
+/// The notice on the readings of one frame that stand for no range; `None` if all are ranges.
+pub fn notice_of_readings(frame: &Frame) -> Option<String> {
+    let mut readings = Readings::new("null or NaN");
+    readings.add(frame);
+    readings.notice()
+}
+
 /// Numbers of readings of a log by their interpretation.
 #[derive(Clone, Debug)]
 pub struct Readings {
@@ -155,7 +162,7 @@ mod tests {
     use presight_model::measured::Measurement;
     use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec};
 
-    /// Words outside of strings only, whatever else the text is.
+    /// Only words outside of strings, in any text.
     #[test]
     fn bare_words_are_quoted() {
         for (text, quoted) in [

@@ -43,7 +43,7 @@ pub(super) fn is_scan(path: &Path) -> bool {
 
 impl Scans {
     /// Opens a scan or a folder of scans. `sensor` supplies noise, limits, class and mount. Points have their own rays;
-    /// images use the rays of `sensor`, or of their own sensor if `sensor` is `None`.
+    /// images use the rays of `sensor`, or those of the sensor that the file names if `sensor` is `None`.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] for a folder without a scan and for invalid poses;

@@ -1,4 +1,5 @@
-//! Shapes, which scripts make, rotate, join and place: polygons with materials and landmarks in a frame of their own.
+//! Shapes, which scripts make, rotate, join and place: polygons with materials and landmarks, in the frame of the
+//! shape.
 
 use super::budget::{Budget, BudgetShare, corners_worth};
 use crate::gltf::ImportOptions;

@@ -4,52 +4,26 @@ use crate::plan::Outputs;
 use presight_model::sensor::{Geometry, Sensor};
 use std::fmt;
 
-/// The point of a frame at which its time is estimated. Before the end, counts are only bounds or means.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Forecast {
-    /// Before the frame: the selection alone.
-    Access,
-    /// After selection: the drawing.
-    Selection,
-    /// After a wave's setup, from bounds of its counts.
-    Wave,
-    /// The steps after drawing.
-    Images,
-    /// Features and their regions of interest.
-    Features,
-    /// A finished frame, from its actual work.
-    Finished,
-    /// Before a frame by tiles, which select nothing: all of it.
-    Tiles,
-    /// Before a row in the plane: all of it.
-    Row,
-}
-
-impl Forecast {
-    /// All, in order.
-    pub const ALL: [Self; 8] = [
-        Self::Access,
-        Self::Selection,
-        Self::Wave,
-        Self::Images,
-        Self::Features,
-        Self::Finished,
-        Self::Tiles,
-        Self::Row,
-    ];
-
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Access => "access",
-            Self::Selection => "selection",
-            Self::Wave => "wave",
-            Self::Images => "images",
-            Self::Features => "features",
-            Self::Finished => "finished",
-            Self::Tiles => "tiles",
-            Self::Row => "row",
-        }
+presight_model::words! {
+    /// The point of a frame at which its time is estimated. Before the end, counts are only bounds or means.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+    pub enum Forecast {
+        /// Before the frame: the selection alone.
+        Access = "access",
+        /// After selection: the drawing.
+        Selection = "selection",
+        /// After a wave's setup, from bounds of its counts.
+        Wave = "wave",
+        /// The steps after drawing.
+        Images = "images",
+        /// Features and their regions of interest.
+        Features = "features",
+        /// A finished frame, from its actual work.
+        Finished = "finished",
+        /// Before a frame by tiles, which select nothing: all of it.
+        Tiles = "tiles",
+        /// Before a row in the plane: all of it.
+        Row = "row",
     }
 }
 

@@ -24,11 +24,13 @@ pub struct TimeEstimate {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CostModel {
     /// The costs of each kind of frame.
+    #[doc(hidden)]
     pub models: BTreeMap<Key, UnitCosts>,
 }
 
 impl CostModel {
     /// Estimates the time of a frame with these counts; uses pessimistic defaults for an unknown key.
+    #[doc(hidden)]
     pub fn estimate(&self, key: &Key, counts: &WorkCounts) -> TimeEstimate {
         let of = |costs: &UnitCosts| {
             let mean = costs.mean(counts);
@@ -43,6 +45,7 @@ impl CostModel {
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] if the time is NaN, infinite or not above 0 (for example after a clock
     /// was set back), or if there are more than [`MAX_MODELS`] keys. The model is then unchanged.
+    #[doc(hidden)]
     pub fn observe(&mut self, key: &Key, counts: &WorkCounts, seconds: f64) -> Result<()> {
         if !(seconds > 0.0 && seconds <= 1e9) {
             let what = format!("a frame that takes {seconds} s");
@@ -57,11 +60,13 @@ impl CostModel {
     }
 
     /// Learnt seconds by kind of work ([`WorkCounts::NAMES`]); `None` for an unknown key.
+    #[doc(hidden)]
     pub fn unit_costs(&self, key: &Key) -> Option<&[f64]> {
         self.models.get(key).map(|costs| costs.seconds.as_slice())
     }
 
     /// All known keys.
+    #[doc(hidden)]
     pub fn keys(&self) -> impl Iterator<Item = &Key> {
         self.models.keys()
     }

@@ -206,6 +206,7 @@ pub struct DeadlineOutcome {
     /// When the images were finished, milliseconds after the call.
     pub images_ms: f64,
     /// The first wave of polygons, if it was finished.
+    #[doc(hidden)]
     pub wave: Option<Wave>,
     /// The parts given up; `None` if the prediction is complete.
     pub given_up: Option<Degradation>,

@@ -192,6 +192,7 @@ impl Images {
     }
 
     /// Fills every image with "no hit", and with "no ray" where the sensor has none.
+    #[doc(hidden)]
     pub fn show_nothing(&mut self, grid: &PixelGrid) {
         for output in Output::WITH_FEATURES {
             match self.samples_mut(output) {
@@ -238,6 +239,7 @@ impl Images {
     }
 
     /// Expands the images of a part to whole images: other pixels are NaN with id 0. Returns the number of their rays.
+    #[doc(hidden)]
     pub fn spread(&mut self, part: &Self, which: &ImagePart, sensor: &Sensor) -> Result<u64> {
         let (width, height) = (sensor.width(), sensor.height());
         self.try_prepare(width, height, part.outputs())?;

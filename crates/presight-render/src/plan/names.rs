@@ -4,31 +4,15 @@ use super::Output;
 use serde::{Serialize, Serializer};
 use std::fmt;
 
-/// Defines an enum whose variants are words in files and tables.
-macro_rules! words {
+/// Defines an enum of names that are written as words.
+macro_rules! names {
     ($(#[$about:meta])* $name:ident { $($(#[$meaning:meta])* $variant:ident = $word:literal,)* }) => {
-        $(#[$about])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-        #[non_exhaustive]
-        pub enum $name {
-            $($(#[$meaning])* #[doc = concat!("`", $word, "`")] $variant,)*
-        }
-
-        impl $name {
-            /// All variants, in a fixed order.
-            pub const ALL: &[Self] = &[$(Self::$variant,)*];
-
-            /// The word in files and tables.
-            pub const fn name(self) -> &'static str {
-                match self {
-                    $(Self::$variant => $word,)*
-                }
-            }
-        }
-
-        impl fmt::Display for $name {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.pad(self.name())
+        presight_model::words! {
+            $(#[$about])*
+            #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+            #[non_exhaustive]
+            pub enum $name {
+                $($(#[$meaning])* #[doc = concat!("`", $word, "`")] $variant = $word,)*
             }
         }
 
@@ -40,7 +24,7 @@ macro_rules! words {
     };
 }
 
-words! {
+names! {
     /// A stage of a prediction, or a variant of one that costs extra.
     StageName {
         Selection = "selection",
@@ -82,7 +66,7 @@ words! {
     }
 }
 
-words! {
+names! {
     /// A count in a prediction.
     CountName {
         PolygonsTested = "polygons tested",

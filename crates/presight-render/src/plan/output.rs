@@ -1,6 +1,7 @@
 //! The outputs: the table of the images that a prediction can deliver.
 
 use presight_model::error::{Error, Result};
+use presight_model::sensor::Sensor;
 
 /// An image that a prediction can deliver. [`Output::info`] is its row of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -118,6 +119,7 @@ impl Output {
     pub const WITH_FEATURES: [Self; TABLE.len()] = first();
 
     /// Its row of the table.
+    #[doc(hidden)]
     pub const fn info(self) -> &'static OutputInfo {
         &TABLE[self as usize]
     }
@@ -125,6 +127,21 @@ impl Output {
     /// Its name in requests and files.
     pub const fn name(self) -> &'static str {
         self.info().name
+    }
+
+    /// Its unit: `m`, or `1` if dimensionless. Empty for ids.
+    pub fn unit(self) -> &'static str {
+        self.info().unit
+    }
+
+    /// True for images of ids (u32); the others hold f32.
+    pub fn is_of_ids(self) -> bool {
+        self.info().kind == SampleKind::Id
+    }
+
+    /// True if a prediction without features makes this image for such a sensor.
+    pub fn is_made_for(self, sensor: &Sensor) -> bool {
+        self.info().maker != Maker::Features && (!self.info().cameras_only || sensor.is_camera())
     }
 
     /// True for images in metres: `+inf` without a hit, `-inf` if it is too near.

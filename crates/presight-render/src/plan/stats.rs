@@ -26,14 +26,19 @@ pub struct Stats {
     /// Name of the index that selected the polygons.
     pub index: &'static str,
     /// Milliseconds by stage, in order. Only stages that ran are listed.
+    #[doc(hidden)]
     pub stages_ms: Vec<(StageName, f64)>,
     /// Counts by name, in order.
+    #[doc(hidden)]
     pub counts: Vec<(CountName, u64)>,
     /// The work done, as counts that do not depend on the machine's load.
+    #[doc(hidden)]
     pub work: Work,
     /// Variants of stages that this prediction needed, and why. Their times are included in the stages' times.
+    #[doc(hidden)]
     pub taken: Vec<StageVariant>,
     /// Stages and images that were not needed, and why.
+    #[doc(hidden)]
     pub left_out: Vec<Omission>,
     /// Notices for the caller, such as a fallback to the CPU.
     pub notices: Vec<String>,
@@ -136,6 +141,7 @@ impl Stats {
     }
 
     /// Milliseconds of a stage, summed over its runs; `None` if it did not run.
+    #[doc(hidden)]
     pub fn stage_ms(&self, name: StageName) -> Option<f64> {
         let mut runs = self.stages_ms.iter().filter(|(stage, _)| *stage == name).map(|(_, ms)| *ms);
         let first = runs.next()?;
@@ -143,26 +149,31 @@ impl Stats {
     }
 
     /// The first count with this name; `None` if there is none.
+    #[doc(hidden)]
     pub fn count_of(&self, name: CountName) -> Option<u64> {
         self.counts.iter().find(|(count, _)| *count == name).map(|(_, n)| *n)
     }
 
     /// Records the time since `start` under a stage name.
+    #[doc(hidden)]
     pub fn stage(&mut self, name: StageName, start: Instant) {
         self.stages_ms.push((name, start.elapsed().as_secs_f64() * 1e3));
     }
 
     /// Records a count.
+    #[doc(hidden)]
     pub fn count(&mut self, name: CountName, n: usize) {
         self.counts.push((name, n as u64));
     }
 
     /// Records a variant that was needed.
+    #[doc(hidden)]
     pub fn take(&mut self, what: StageName, why: &'static str) {
         self.taken.push(StageVariant { what, why });
     }
 
     /// Records a stage or image that was not needed.
+    #[doc(hidden)]
     pub fn leave_out(&mut self, what: impl Into<Part>, why: impl Into<Cow<'static, str>>) {
         self.left_out.push(Omission { what: what.into(), why: why.into() });
     }

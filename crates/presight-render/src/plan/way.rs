@@ -3,44 +3,27 @@
 use presight_model::sensor::{GroupLayout, PixelGrid, Sensor};
 use presight_model::world::World;
 use serde::Serialize;
-use std::fmt;
 
-/// Strategy of the CPU engine for finding the polygon that a ray sees. All strategies give the same bits.
-///
-/// ```
-/// use presight::Way;
-/// assert_eq!(Way::default(), Way::Auto);
-/// assert_eq!(Way::Tiles.to_string(), "tiles");
-/// ```
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Way {
-    /// Whichever is faster: by counts, and by what the sensor's last frames took.
-    #[default]
-    Auto,
-    /// Whichever is faster by counts alone, so that the choice is the same in every run.
-    Counts,
-    /// Polygons in view are selected, set up and drawn, nearest first.
-    Raster,
-    /// Tiles of rays search a tree for each mesh, without a selection.
-    Tiles,
-}
-
-impl Way {
-    /// The word in files, flags and tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Counts => "counts",
-            Self::Raster => "raster",
-            Self::Tiles => "tiles",
-        }
-    }
-}
-
-impl fmt::Display for Way {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
+presight_model::words! {
+    /// Strategy of the CPU engine for finding the polygon that a ray sees. All strategies give the same bits.
+    ///
+    /// ```
+    /// use presight::Way;
+    /// assert_eq!(Way::default(), Way::Auto);
+    /// assert_eq!(Way::Tiles.to_string(), "tiles");
+    /// ```
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Way {
+        /// Whichever is faster: by counts, and by what the sensor's last frames took.
+        #[default]
+        Auto = "auto",
+        /// Whichever is faster by counts alone, so that the choice is the same in every run.
+        Counts = "counts",
+        /// Polygons in view are selected, set up and drawn, nearest first.
+        Raster = "raster",
+        /// Tiles of rays search a tree for each mesh, without a selection.
+        Tiles = "tiles",
     }
 }
 
@@ -113,6 +96,7 @@ impl Default for ChosenWay {
 impl Way {
     /// Chooses by counts that are available before the selection, so that the choice is the same in every run. The
     /// raster may turn to tiles after its first wave.
+    #[doc(hidden)]
     pub fn choose(self, world: &World, sensor: &Sensor) -> ChosenWay {
         let raster = |why| ChosenWay { why, ..ChosenWay::RASTER };
         let tiles = |why| ChosenWay { way: Self::Tiles, ..raster(why) };

@@ -27,7 +27,7 @@ const INK: RGBColor = RGBColor(1, 1, 1);
 /// Grid lines.
 const FAINT: RGBColor = RGBColor(1, 1, 2);
 
-/// How a series is drawn.
+/// The drawing style of a series.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Style {
     /// A mark at every point.
@@ -65,7 +65,8 @@ pub struct Series {
 /// use presight_studies::chart::{Chart, Series};
 /// let points = vec![(1.0, 1e-7), (10.0, 0.0)];
 /// let series = vec![Series { name: "cpu".into(), points, ..Series::default() }];
-/// let chart = Chart { title: "error".into(), x_label: "ms".into(), y_label: "m".into(), x_log: true, y_log: true, series };
+/// let (title, x_label, y_label) = ("error".into(), "ms".into(), "m".into());
+/// let chart = Chart { title, x_label, y_label, x_log: true, y_log: true, series };
 /// assert!(chart.svg()?.starts_with("<svg"));
 /// # Ok::<(), presight::Error>(())
 /// ```
@@ -148,34 +149,45 @@ impl Chart {
             at.iter().try_for_each(|(cx, cy)| draw_arrow(&area, series.color, (cx + 12 * without_bound, *cy)))?;
             without_bound += i32::from(!at.is_empty());
         }
-        let mut told: Vec<(&str, (i32, i32))> = Vec::new();
+        self.draw_labels(&area, place)?;
+        self.draw_legend(&legend)?;
+        area.present()?;
+        Ok(())
+    }
+
+    /// Draws the labels of points beside their marks. `place` is the pixel of a point.
+    fn draw_labels(&self, area: &Area<'_>, place: impl Fn(&(f64, f64)) -> Option<(i32, i32)>) -> Drawn<()> {
+        let mut drawn: Vec<(&str, (i32, i32))> = Vec::new();
         let mut taken: Vec<Rect> =
-            self.series.iter().flat_map(|s| &s.points).filter_map(place).map(Rect::of_mark).collect();
+            self.series.iter().flat_map(|s| &s.points).filter_map(&place).map(Rect::of_mark).collect();
         for series in &self.series {
             for (point, label) in series.points.iter().zip(&series.labels).filter(|(_, label)| !label.is_empty()) {
                 let Some(at) = place(point) else { continue };
                 // Nearby marks with the same label share one.
-                if told.iter().any(|(other, by)| other == label && at.0.abs_diff(by.0).max(at.1.abs_diff(by.1)) < 10) {
+                if drawn.iter().any(|(other, by)| other == label && at.0.abs_diff(by.0).max(at.1.abs_diff(by.1)) < 10) {
                     continue;
                 }
-                told.push((label, at));
+                drawn.push((label, at));
                 let room = Rect::beside(at, label, &taken);
                 let style = ("sans-serif", TEXT[2]).into_font().color(&INK);
                 area.draw(&Text::new(label.clone(), (room.left, room.top), style))?;
                 taken.push(room);
             }
         }
+        Ok(())
+    }
+
+    fn draw_legend(&self, legend: &Area<'_>) -> Drawn<()> {
         for (i, series) in self.series.iter().filter(|s| !s.name.is_empty()).enumerate() {
             let y = 20 + 24 * i as i32;
             let ends = match series.style {
                 Style::Points | Style::Front => vec![(22, y)],
                 _ => vec![(10, y), (34, y)],
             };
-            draw_series(&legend, series, &ends)?;
+            draw_series(legend, series, &ends)?;
             let name: String = series.name.chars().take(LONGEST_NAME).collect();
             legend.draw(&Text::new(name, (44, y - 9), ("sans-serif", TEXT[1]).into_font().color(&INK)))?;
         }
-        area.present()?;
         Ok(())
     }
 }
@@ -219,7 +231,7 @@ fn draw_series(area: &Area<'_>, series: &Series, at: &[(i32, i32)]) -> Drawn<()>
     Ok(())
 }
 
-/// Draws marks that differ in shape as well as in colour.
+/// Draws marks. Series differ by the shape and the colour of their marks.
 fn draw_marks(area: &Area<'_>, index: usize, at: &[(i32, i32)]) -> Drawn<()> {
     let fill = color(index).filled();
     for &(x, y) in at {

@@ -199,7 +199,7 @@ impl Boxes {
         Shift::new(self.origin, region.origin(), &self.reach, 2)
     }
 
-    /// Where a region may be along x and y, relative to the origin.
+    /// The extent of a region along x and y, relative to the origin.
     pub(super) fn window(&self, region: &Region) -> [(f64, f64); 2] {
         let bounds = region.bounds();
         [0, 1].map(|k| {

@@ -14,7 +14,7 @@ pub type Grid = CellIndex<GridCells>;
 /// a separate list: memory stays linear.
 #[derive(Clone, Debug, Default)]
 pub struct GridCells {
-    /// Least corner relative to the origin, and side of a cell, metres.
+    /// Lower corner relative to the origin, and side of a cell, metres.
     corner: [f32; 2],
     side: f32,
     size: [usize; 2],
@@ -24,9 +24,9 @@ pub struct GridCells {
     wide: Vec<u32>,
 }
 
-/// Most cells that an id may overlap before it moves to the separate list.
+/// Maximum number of cells that an id may overlap before it moves to the separate list.
 const WIDE: usize = 1024;
-/// Most cells per id.
+/// Maximum number of cells per id.
 const CELLS_PER_ID: usize = 2;
 
 /// The queries of a thread, to drop ids found twice.

@@ -4,8 +4,8 @@
 //! |---|---|---|---|
 //! | [`Scheme::Grid`] | equal squares | every cell it overlaps | paper section 2.2 |
 //! | [`Scheme::Plop`] | slices of each axis at quantiles | the cell of its centroid | Kriegel and Seeger 1988 |
-//! | [`Scheme::S2d`], [`Scheme::S3d`] | halves of halves | the leaf of its centroid | Ooi, Sacks-Davis, McDonell 1987/1991 |
-//! | [`Scheme::TwoLevel`] | a spatial-kD tree of objects over trees of their meshes | its mesh | `presight_model::index` |
+//! | [`Scheme::S2d`], [`Scheme::S3d`] | halves of halves | the leaf of its centroid | Ooi et al. 1987/1991 |
+//! | [`Scheme::TwoLevel`] | a spatial-kD tree of objects over mesh trees | its mesh | `presight_model::index` |
 
 mod cells;
 mod exact;
@@ -22,40 +22,27 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::Aabb;
 use presight_model::index::{IndexKind, Params, Skd, SpatialIndex};
 
-/// A method to find polygons.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Scheme {
-    /// No index: every cluster of every object is tested.
-    None,
-    /// Uniform grid of square cells.
-    Grid,
-    /// Piecewise linear order preserving hashing.
-    Plop,
-    /// Spatial-kD tree over x and y.
-    S2d,
-    /// Spatial-kD tree over x, y and z.
-    S3d,
-    /// Spatial-kD tree of objects over one tree per mesh, in the mesh's own frame and shared by its instances.
-    #[default]
-    TwoLevel,
+presight_model::words! {
+    /// A method to find polygons.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    pub enum Scheme {
+        /// No index: every cluster of every object is tested.
+        None = "none",
+        /// Uniform grid of square cells.
+        Grid = "grid",
+        /// Piecewise linear order preserving hashing.
+        Plop = "plop",
+        /// Spatial-kD tree over x and y.
+        S2d = "s2d",
+        /// Spatial-kD tree over x, y and z.
+        S3d = "s3d",
+        /// Spatial-kD tree of objects over one tree per mesh, in the mesh's own frame and shared by its instances.
+        #[default]
+        TwoLevel = "two-level",
+    }
 }
 
 impl Scheme {
-    /// Every scheme.
-    pub const ALL: [Self; 6] = [Self::None, Self::Grid, Self::Plop, Self::S2d, Self::S3d, Self::TwoLevel];
-
-    /// The name in flags and files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Grid => "grid",
-            Self::Plop => "plop",
-            Self::S2d => "s2d",
-            Self::S3d => "s3d",
-            Self::TwoLevel => "two-level",
-        }
-    }
-
     /// The best parameters by `presight index --sweep` (benches/RESULTS.md).
     pub fn params(self) -> Params {
         match self {

@@ -26,11 +26,11 @@ pub struct Leaf {
     pub weak: Vec<String>,
     /// Fraction of the measured points that are explained.
     pub explained: f64,
-    /// How far surfaces of the map count as off, one standard deviation, metres: as stated, or as learnt so far.
+    /// Standard deviation of the map's surfaces, metres: the stated one, or the one learnt so far.
     pub model_sigma: f64,
     /// Fraction of the pixels with each verdict, by name.
     pub verdicts: Vec<(&'static str, f64)>,
-    /// Counts of predicted features by class, and of other detections; empty if no features were searched.
+    /// Counts of predicted features by class, and of other detections; empty without a search for features.
     pub features: Vec<(&'static str, usize)>,
     /// Position of the robot in the log's own poses, metres.
     pub reference: Option<[f64; 3]>,
@@ -90,17 +90,19 @@ fn strips(leaves: &[Leaf]) -> Markup {
     };
     let all = [
         strip("explained fraction", |l| Some(l.explained)),
-        strip("surfaces of the map count as off by, m", |l| Some(l.model_sigma)),
+        strip("standard deviation of the map's surfaces, m", |l| Some(l.model_sigma)),
         strip("position error, m", |l| l.off.map(|o| o.0)),
         Strip { levels: vec![1.0], logarithmic: true, ..strip("NEES per degree of freedom", |l| l.nees) },
     ];
     html! {
         figure {
             (states(leaves))
-            figcaption.key { @for (name, color) in STATES { span { i style=(format!("background:var({color})")) {} (name) } } }
+            figcaption.key {
+                @for (name, color) in STATES { span { i style=(format!("background:var({color})")) {} (name) } }
+            }
         }
         @for strip in all.iter().filter(|s| s.values.iter().any(Option::is_some)) {
-            figure { (strip.svg(&now(Strip::height()))) figcaption { (strip.name) (range(strip)) } }
+            figure { (strip.svg(Some(&now(Strip::height())))) figcaption { (strip.name) (range(strip)) } }
         }
     }
 }
@@ -150,7 +152,8 @@ fn plan(leaves: &[Leaf]) -> Markup {
     let metres = [5.0, 2.0, 1.0, 0.5, 0.2].map(|d| d * power).into_iter().find(|m| *m <= 0.5 * extent).unwrap_or(power);
     let bar = (SIDE - 40.0) * metres / extent;
     html! {
-        svg.plan viewBox=(format!("0 0 {SIDE} {SIDE}")) role="img" aria-label="trajectory" data-left=(left) data-top=(top) data-extent=(extent) {
+        svg.plan viewBox=(format!("0 0 {SIDE} {SIDE}")) role="img" aria-label="trajectory"
+            data-left=(left) data-top=(top) data-extent=(extent) {
             polyline.reference points=(line(&reference)) {}
             polyline points=(line(&believed)) {}
             line.bar x1="20" x2=(20.0 + bar) y1=(SIDE - 8.0) y2=(SIDE - 8.0) {}

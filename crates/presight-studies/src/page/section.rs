@@ -109,7 +109,9 @@ pub fn page(title: &str, lead: &str, sections: &[Section]) -> String {
             @for (i, s) in sections.iter().enumerate() {
                 section id=(format!("s{i}")) {
                     h2 {
-                        @if let Some(label) = s.label { b.label style=(format!("background:{}", label.color)) { (label.text) } " " }
+                        @if let Some(Label { text, color }) = s.label {
+                            b.label style=(format!("background:{color}")) { (text) } " "
+                        }
                         (s.title)
                     }
                     @for p in &s.parts { (part(p)) }
@@ -128,7 +130,7 @@ fn part(part: &Part) -> Markup {
             Part::Heading(text) => h3 { (text) },
             Part::Table(t) => (table(t)),
             Part::Chart { svg, caption } => figure { (PreEscaped(svg)) figcaption { (caption) } },
-            Part::Strip { strip, caption } => figure { (strip.svg(&PreEscaped(String::new()))) figcaption { (caption) } },
+            Part::Strip { strip, caption } => figure { (strip.svg(None)) figcaption { (caption) } },
             Part::Details { summary, text } => details { summary { (summary) } pre { (text) } },
             Part::Image { file, alt, caption } => figure.picture { img alt=(alt) src=(file); figcaption { (caption) } },
             Part::Picture { png, caption } => figure.picture {
@@ -147,7 +149,9 @@ fn table(table: &Table) -> Markup {
     html! {
         div.wide { table {
             caption { (table.caption) }
-            thead { tr { @for (c, name) in table.head.iter().enumerate() { th class=[class(c)] scope="col" { (heading(name)) } } } }
+            thead { tr {
+                @for (c, name) in table.head.iter().enumerate() { th class=[class(c)] scope="col" { (heading(name)) } }
+            } }
             tbody {
                 @for (i, row) in table.rows.iter().enumerate() {
                     tr class=[table.marked.contains(&i).then_some("marked")] {

@@ -25,7 +25,7 @@ impl Strip {
     }
 
     /// The chart as an `<svg>` element; `mark` is drawn over it.
-    pub(super) fn svg(&self, mark: &Markup) -> Markup {
+    pub(super) fn svg(&self, mark: Option<&Markup>) -> Markup {
         let place = |v: f64| if self.logarithmic { v.max(1e-3).log10() } else { v };
         let [min, max] = extremes(self.values.iter().flatten().chain(&self.levels).map(|v| place(*v)));
         let height = |v: f64| HEIGHT - 4.0 - (HEIGHT - 8.0) * (place(v) - min) / (max - min).max(1e-9);
@@ -38,10 +38,11 @@ impl Strip {
             stretch.iter().map(at).collect::<Vec<_>>().join(" ")
         });
         html! {
-            svg.strip viewBox=(format!("0 0 1000 {HEIGHT}")) preserveAspectRatio="none" role="img" aria-label=(self.name) {
+            svg.strip viewBox=(format!("0 0 1000 {HEIGHT}")) preserveAspectRatio="none" role="img"
+                aria-label=(self.name) {
                 @for v in &self.levels { line.expected x1="0" x2="1000" y1=(height(*v)) y2=(height(*v)) {} }
                 @for line in lines { polyline points=(line) {} }
-                (mark)
+                @if let Some(mark) = mark { (mark) }
             }
         }
     }

@@ -1,6 +1,7 @@
 //! Checks an engine's images against the truth, pixel by pixel, within the product's published bounds.
 
-use super::oracle::{ExactFace, Oracle, PolygonOnRay, Truth};
+use super::oracle::{ExactFace, Oracle};
+use super::truth::{PolygonOnRay, Truth};
 use presight_model::sensor::Sensor;
 use presight_model::threads::parallel_or_here;
 use presight_render::plan::{FramePlan, Images};
@@ -18,10 +19,11 @@ pub(super) struct TruthImage<'a> {
 /// The judgement of an engine's image.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ErrorSummary {
-    /// Largest relative error of the range at pixels where the true polygon is shown or was left out as edge-on. If
+    /// Maximum relative error of the range at pixels where the true polygon is shown or was left out as edge-on. If
     /// there is a fault, the error at the first faulty pixel.
     pub error: f64,
-    /// Largest bound of all pixels; each pixel is checked against its own bound. Infinite if a pixel has no finite bound.
+    /// Maximum bound over the pixels; each pixel is checked against its own bound. Infinite if a pixel has no finite
+    /// bound.
     pub bound: f64,
     /// Pixels that differ from the truth in their polygon, or in hitting one at all, as the bounds allow.
     pub other: usize,
@@ -135,11 +137,11 @@ struct PixelTruth<'a> {
     sensor: &'a Sensor,
     pixel: (u32, u32),
     precision: Precision,
-    /// How far the ray is inside each polygon, in units of the bound.
+    /// Distance of the ray from the outline of each polygon, in units of the bound, positive inside.
     inside: Vec<f64>,
     /// The polygon that the ray meets first.
     truth: Option<usize>,
-    /// Largest possible range of the nearest polygon that is surely hit.
+    /// Maximum possible range of the nearest polygon that is certainly hit.
     wall: f64,
     surely_hit: Option<usize>,
 }
@@ -177,7 +179,7 @@ impl<'a> PixelTruth<'a> {
         ray.map_or(f64::INFINITY, |ray| self.faces[k].bound(self.precision).inverse_range(&self.faces[k].face, ray))
     }
 
-    /// Smallest and largest range within the bound.
+    /// Minimum and maximum range within the bound.
     fn reach(&self, k: usize) -> [f64; 2] {
         let (inverse, error) = (self.sights[k].inverse_range, self.inverse_error(k));
         [inverse + error, inverse - error].map(|i| if i > 0.0 { i.recip() } else { f64::INFINITY })

@@ -1,20 +1,20 @@
 //! Recommended paths, derived from the rows.
 //!
-//! Nothing is recommended that the study's own repetitions do not separate from noise. Two paths are compared pair by pair: by
-//! their times in the same turns, or by their errors at the same features. If they were equal, each would be ahead in half
-//! of the pairs (a sign test). A path is ahead only if chance would put any of the compared paths so far ahead at most once
-//! in twenty studies.
+//! A path is recommended only if the study's own repetitions separate it from noise. Two paths are compared pair by
+//! pair: by their times in the same turns, or by their errors at the same features. If they were equal, each would be
+//! ahead in half of the pairs (a sign test). A path is ahead only if chance would put any of the compared paths so far
+//! ahead at most once in twenty studies.
 //!
-//! **Faster.** Another path replaces the default if it is as exact, ahead in time, and a tenth faster: less is not worth a
-//! setting.
+//! **Faster.** Another path replaces the default if it is as exact, ahead in time, and a tenth faster: less is not
+//! worth a setting.
 //!
-//! **More exact.** Halving the step of the samples halves the error of visible fractions and doubles the time. Any error
-//! can be bought at this price. So a path that takes longer replaces the default only if it is ahead in its errors and they
-//! fall by more than its time grows: if error times time gets smaller, by the largest and by the mean error, with the third
-//! quartile of its times against the first quartile of the other's.
+//! **More exact.** Halving the step of the samples halves the error of visible fractions and doubles the time. Any
+//! error can be bought at this price. So a path that takes longer replaces the default only if it is ahead in its
+//! errors and they fall by more than its time grows: if error times time gets smaller, by the largest and by the mean
+//! error, with the third quartile of its times against the first quartile of the other's.
 
 use super::features::RESOLUTION;
-use super::{FAULT_SHARE, Row};
+use super::results::{FAULT_SHARE, Row};
 
 /// A path is clearly faster only if it takes less than this fraction of the time.
 const WORTH: f64 = 0.9;
@@ -25,8 +25,8 @@ const CHANCE: f64 = 0.05;
 /// A path with another polygon at more than this fraction of the pixels is never recommended.
 const MOST_OTHER: f64 = 0.1;
 
-/// A path to features is as exact as another if neither its largest nor its mean error of a visible fraction is larger by
-/// more than this. Both are sampled at different points, and so is the truth.
+/// A path to features is as exact as another if neither its largest nor its mean error of a visible fraction is larger
+/// by more than this. Both are sampled at different points, and so is the truth.
 const AS_EXACT: f64 = 1e-3;
 
 /// The minimum number of features for advice.
@@ -86,7 +86,8 @@ fn for_images(best: &Row, exact: &[&Row]) -> String {
     let (ids, time) = (ids(best.error), within(best));
     if best.default {
         return format!(
-            "take {}, which is the default: exact to rounding ({ids}) in {time}. No other exact path is clearly faster.",
+            "take {}, which is the default: exact to rounding ({ids}) in {time}. No other exact path is clearly \
+             faster.",
             name(best)
         );
     }
@@ -317,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_less_exact_has_its_price_told() {
+    fn a_less_exact_path_comes_with_its_cost() {
         let default = || path("default", 0.0, Some(0.0), 9.0);
         let text = advice(&[default(), path("half", 0.04, None, 1.0)]);
         assert!(text.contains("If 4.000 % other polygons and silhouette errors of 0.40 pixels"), "{text}");
@@ -348,9 +349,9 @@ mod tests {
         assert_eq!(
             text,
             " For features take cpu, default, which is the default: errors of visible fractions at most 0.0530, \
-             0.00300 on average, in 10 ms, measured on 40 features. cpu, features by rays (--take features by rays) has \
-             errors of visible fractions at most 0.0310, 0.00200 on average, but takes 1343 ms: time grows by more than \
-             the errors fall."
+             0.00300 on average, in 10 ms, measured on 40 features. cpu, features by rays (--take features by rays) \
+             has errors of visible fractions at most 0.0310, 0.00200 on average, but takes 1343 ms: time grows by more \
+             than the errors fall."
         );
         // In 1.2 times the time, it is: the products of error and time are 0.37 and 0.024 against 0.53 and 0.03.
         let text = for_features(&[rays(12.0), default.clone()].concat(), 40);

@@ -1,6 +1,6 @@
 //! Errors of images.
 
-use super::FAULT_SHARE;
+use super::results::FAULT_SHARE;
 use presight_model::error::Result;
 use presight_render::plan::{FramePlan, Images};
 use presight_render::verify;
@@ -19,7 +19,7 @@ pub(super) struct ImageErrors {
     faults: Option<usize>,
     /// The largest difference of ranges where both show the same polygon, in units in the last place.
     ulps: u32,
-    /// The same in metres, and the difference allowed at that pixel.
+    /// The difference in metres, and the difference allowed at that pixel.
     range_m: f64,
     allowed_m: f64,
     /// The largest ratio of the difference to that allowed at its pixel.
@@ -125,7 +125,7 @@ pub(super) fn compare_images(
     Ok(errors)
 }
 
-/// Adds the distances from each border pixel of one image to the nearest of the other, both ways.
+/// Adds the distances from each border pixel of one image to the nearest of the other, in both directions.
 fn displacement(truth: &Images, other: &Images, errors: &mut ImageErrors) {
     let (a, b) = (borders(truth), borders(other));
     for (from, to) in [(&a, &b), (&b, &a)] {

@@ -3,10 +3,11 @@
 //! Settings: visibility from images or from a ray to every sample, the sampling step, and the sensor's resolution.
 
 use super::one::{Progress, SceneStudy, Truth};
-use super::paths::{EnginePath, PathName};
+use super::path::{EnginePath, PathName};
+use super::results::{PathNotes, Row};
 use super::timing::{TimedPath, by_turns};
 use super::views::ImageVariant;
-use super::{PathNotes, Row, how, regions};
+use super::{how, regions};
 use glam::DVec3;
 use presight_features::generate::{FeatureKind, GenerateOptions, generate};
 use presight_features::{
@@ -24,7 +25,8 @@ use presight_render::plan::Stats;
 const NEAR: f64 = 6.0;
 /// Sampling step of the truth, pixels.
 const TRUE_STEP: f64 = STEP / 8.0;
-/// Smaller errors than this share of the errors at the usual step are not known: the samples of the truth are as far apart.
+/// Smaller errors than this share of the errors at the usual step are not known: the samples of the truth are as far
+/// apart.
 pub(super) const RESOLUTION: f64 = TRUE_STEP / STEP;
 /// Smaller differences of visible fractions are rounding: lengths are summed in different orders.
 pub(super) const ROUNDING: f64 = 1e-12;

@@ -1,6 +1,6 @@
-//! How a user selects a path: flags of `presight predict`, keys of the sensor file, or library calls.
+//! The selection of a path by a user: flags of `presight predict`, keys of the sensor file, or library calls.
 
-use super::paths::{EnginePath, Path};
+use super::path::{EnginePath, Path};
 use super::views::ImageVariant;
 use presight_features::{BoxMethod, STEP, Visibility};
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor};
@@ -36,7 +36,8 @@ fn of_view(view: ImageVariant, sensor: &Sensor) -> String {
         ),
         (_, Geometry::Scanner(old), Geometry::Scanner(new)) => format!("; sensor file: {}", of_scanner(old, new)),
         (ImageVariant::Reduced(n), _, Geometry::Rays(new)) => format!(
-            "; sensor file: width = {}, height = {}, directions of columns and rows {}, {}, .. from 0 on, of the last beyond it",
+            "; sensor file: width = {}, height = {}, directions of columns and rows {}, {}, .. from 0 on, of the last \
+             beyond it",
             new.width(),
             new.height(),
             n / 2,

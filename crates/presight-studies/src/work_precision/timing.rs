@@ -1,7 +1,8 @@
 //! Times of paths and their stages, with warm-up, in interleaved runs.
 
-use super::paths::PathName;
-use super::{Effort, PathNotes, StageTime};
+use super::path::PathName;
+use super::results::{PathNotes, StageTime};
+use super::setup::Effort;
 use crate::median;
 use presight_model::error::Result;
 use presight_model::statistics;
@@ -50,7 +51,7 @@ pub(super) fn by_turns<T>(
         let until = effort.patience.mul_f64(round as f64 / effort.rounds as f64);
         for (one, (runs, spent)) in all.iter_mut().zip(&mut done) {
             let more =
-                |runs: usize, spent| runs < share(effort.least_runs) || runs < share(effort.most_runs) && spent < until;
+                |runs: usize, spent| runs < share(effort.min_runs) || runs < share(effort.max_runs) && spent < until;
             if more(*runs, *spent) && one.timing.last < SHORT {
                 one.timing.warm(|| run(&mut one.what))?;
             }
@@ -150,8 +151,8 @@ impl Timing {
 mod tests {
     use super::*;
 
-    /// Runs paths that sleep. Returns their indices in the order of the runs, and the numbers of counted runs and of turns
-    /// with such runs of each.
+    /// Runs paths that sleep. Returns their indices in the order of the runs, and the numbers of counted runs and of
+    /// turns with such runs of each.
     fn ran(effort: &Effort, sleeps: &[u64]) -> (Vec<usize>, Vec<usize>, Vec<usize>) {
         let mut order = Vec::new();
         let mut all: Vec<_> = (0..sleeps.len()).map(TimedPath::new).collect();
@@ -170,14 +171,13 @@ mod tests {
 
     #[test]
     fn paths_take_turns_and_first_runs_are_not_counted() {
-        let effort =
-            Effort { rounds: 2, least_runs: 2, most_runs: 4, patience: Duration::from_secs(9), ..Effort::QUICK };
+        let effort = Effort { rounds: 2, min_runs: 2, max_runs: 4, patience: Duration::from_secs(9), ..Effort::QUICK };
         let (mut order, counted, turns) = ran(&effort, &[0, 0]);
         assert_eq!((counted, turns), (vec![4, 4], vec![2, 2]));
         assert!(order.len() > 2 + 8, "short paths are warmed up again in each turn: {order:?}");
         order.dedup();
         assert_eq!(order, [0, 1, 0, 1, 0, 1]);
-        // Without patience only the minimum runs; a long path needs no additional warm-up.
+        // Only the minimum runs without patience; a long path needs no additional warm-up.
         let effort = Effort { patience: Duration::ZERO, ..effort };
         let (order, counted, _) = ran(&effort, &[0, 12]);
         assert_eq!(counted, [2, 2]);
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_told_by_nearest_rank() {
+    fn quantiles_of_times_have_the_nearest_rank() {
         let timing = Timing { times_ms: (1..=100).rev().map(f64::from).collect(), ..Timing::default() };
         assert_eq!((timing.median(), timing.p95(), timing.quartiles()), (50.5, 95.0, [25.0, 75.0]));
         assert_eq!((Timing::default().median(), Timing::default().p95()), (0.0, 0.0));

@@ -55,10 +55,8 @@ impl<'a> Floor<'a> {
         if self.seen.iter().any(is_near) {
             return Some(Obstacle::Seen);
         }
-        found.clear();
-        self.world.index().query(environment, &Region::cuboid(&slab), found);
-        let located = found.all().filter_map(|slot| environment.locate(slot));
-        for (object, polygon) in located.filter(|(o, p)| !environment.is_absent(*o, *p, None)) {
+        let polygons = self.world.polygons_in(&Region::cuboid(&slab), found);
+        for (object, polygon) in polygons.filter(|(o, p)| !environment.is_absent(*o, *p, None)) {
             let corners = environment.objects()[object as usize].polygon_in_world(polygon);
             let part = clipped(corners, &slab);
             if !part.is_empty() && distance_from_above(&part, p) < radius {

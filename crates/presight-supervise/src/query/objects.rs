@@ -89,10 +89,8 @@ pub fn objects_in(world: &World, place: &Place) -> Result<Vec<ObjectFound>> {
 type Found = BTreeMap<u32, (usize, Option<f64>)>;
 
 fn count(world: &World, region: &Region, holds: impl Fn(u32, u32) -> bool) -> Found {
-    let (environment, mut result) = (world.environment(), QueryResult::default());
-    world.index().query(environment, region, &mut result);
     let mut found = Found::new();
-    for (object, polygon) in result.all().filter_map(|slot| environment.locate(slot)) {
+    for (object, polygon) in world.polygons_in(region, &mut QueryResult::default()) {
         if holds(object, polygon) {
             found.entry(object).or_default().0 += 1;
         }
@@ -137,8 +135,7 @@ fn along(world: &World, corridor: &Corridor, robot: &RobotPose) -> Result<Found>
     let environment = world.environment();
     let (mut result, mut found) = (QueryResult::default(), Found::new());
     let region = Region::cuboid(&bounds.transformed(&world_from_corridor.to_affine()));
-    world.index().query(environment, &region, &mut result);
-    for (object, polygon) in result.all().filter_map(|slot| environment.locate(slot)) {
+    for (object, polygon) in world.polygons_in(&region, &mut result) {
         let corners = environment.objects()[object as usize].polygon_in_world(polygon);
         let corners: Vec<DVec3> = corners.iter().map(|p| corridor_from_world.transform_point(*p)).collect();
         let inside = clipped(corners, &bounds);

@@ -4,7 +4,7 @@ use crate::change::edits::{insert, mark, set_pose, source};
 use crate::change::existence::{UNSTATED, posterior};
 use crate::change::features;
 use crate::change::refine::{RefinedPose, refined};
-use crate::decide::findings::{Finding, FindingKind, Findings};
+use crate::decide::findings::{Finding, FindingKind, SiteFindings};
 use crate::decide::policy::{Action, Policy};
 use crate::evidence::knowledge::Knowledge;
 use presight_model::change::Change;
@@ -17,7 +17,7 @@ use presight_store::{ChangeEvidence, Edit, ProposedChange, ShapeSource};
 /// As [`Learner::changes`](crate::Learner::changes).
 pub(crate) fn changes(
     known: &Knowledge,
-    findings: &Findings,
+    findings: &SiteFindings,
     world: &World,
     (base, utc): (&str, f64),
     policy: &Policy,

@@ -1,6 +1,6 @@
 //! Refined poses: poses of objects and their covariances, by Bayes from all views.
 
-use crate::decide::findings::Findings;
+use crate::decide::findings::SiteFindings;
 use crate::evidence::joint::ObjectMotion;
 use crate::evidence::knowledge::Knowledge;
 use glam::DVec3;
@@ -26,7 +26,7 @@ pub struct RefinedPose {
 }
 
 /// As [`Learner::refined`](crate::Learner::refined).
-pub(crate) fn refined(known: &Knowledge, environment: &Environment, findings: &Findings) -> Vec<RefinedPose> {
+pub(crate) fn refined(known: &Knowledge, environment: &Environment, findings: &SiteFindings) -> Vec<RefinedPose> {
     if findings.wrong.is_some() {
         return Vec::new();
     }

@@ -3,7 +3,7 @@
 
 use crate::decide::boxes::{UprightBox, split};
 use crate::decide::decision::Decision;
-use crate::decide::findings::{DoubtfulObject, FindingKind, Findings, by_rank};
+use crate::decide::findings::{DoubtfulObject, FindingKind, SiteFindings, by_rank};
 use crate::decide::fit::Thing;
 use crate::decide::groups::{Group, groups};
 use crate::decide::moves::Place;
@@ -23,9 +23,9 @@ const MAX_CHANGED: f64 = 0.5;
 const FEW_CHANGES: usize = 3;
 
 /// All findings so far, with a planned view for each object in doubt.
-pub(crate) fn findings(known: &Knowledge, world: &World) -> Findings {
+pub(crate) fn findings(known: &Knowledge, world: &World) -> SiteFindings {
     let environment = world.environment();
-    let Some(decision) = Decision::new(known, environment) else { return Findings::default() };
+    let Some(decision) = Decision::new(known, environment) else { return SiteFindings::default() };
     let mut findings = decision.findings();
     if !findings.doubts.is_empty() {
         let planner = ViewPlanner::new(&decision, world);
@@ -33,12 +33,12 @@ pub(crate) fn findings(known: &Knowledge, world: &World) -> Findings {
             doubt.view = environment.index_of(&doubt.object).ok().and_then(|object| planner.at_object(object));
         }
     }
-    Findings { wrong: known.corrections.wrong().or(findings.wrong), ..findings }
+    SiteFindings { wrong: known.corrections.wrong().or(findings.wrong), ..findings }
 }
 
 impl Decision<'_> {
-    fn findings(&self) -> Findings {
-        let mut found = Findings::default();
+    fn findings(&self) -> SiteFindings {
+        let mut found = SiteFindings::default();
         let groups = groups(self.known);
         let doubted: Vec<u32> = self.live().filter(|object| self.is_doubted(*object)).collect();
         let moves = self.moves(&doubted, &groups);
@@ -83,7 +83,7 @@ impl Decision<'_> {
             && gone as f64 >= options.min_agreeing * (present + gone).max(1) as f64
     }
 
-    fn add_moved(&self, found: &mut Findings, object: u32, name: String, place: &Place) {
+    fn add_moved(&self, found: &mut SiteFindings, object: u32, name: String, place: &Place) {
         let thing = Thing::new(self.environment, object);
         let before = self.environment.objects()[object as usize].world_from_object;
         let distance = before.transform_point(thing.middle).distance(place.pose.transform_point(thing.middle));
@@ -97,7 +97,7 @@ impl Decision<'_> {
     }
 
     /// Adds an object that was not moved: it is gone, seen through by some sensors, comes and goes, or is present.
-    fn add_in_place(&self, found: &mut Findings, object: u32, name: String, evidence: &Evidence) {
+    fn add_in_place(&self, found: &mut SiteFindings, object: u32, name: String, evidence: &Evidence) {
         let book = &self.known.book;
         let is_gone = self.is_gone(object, evidence);
         let mut through = book.see_through(object, &self.known.options);
@@ -126,7 +126,7 @@ impl Decision<'_> {
     }
 
     /// Adds an object that is neither gone nor moved: it is confirmed, perhaps without a part, or in doubt.
-    fn add_present(&self, found: &mut Findings, object: u32, name: String, evidence: &Evidence) {
+    fn add_present(&self, found: &mut SiteFindings, object: u32, name: String, evidence: &Evidence) {
         let options = &self.known.options;
         let (present, gone) = self.known.book.decided(object, options);
         let is_large = 2.0 * Thing::new(self.environment, object).radius > MIN_DIVIDED;
@@ -152,7 +152,7 @@ impl Decision<'_> {
     }
 
     /// Adds a new object for each piece of the points that moved and recognized objects do not explain.
-    pub(crate) fn add_new(&self, found: &mut Findings, groups: &[Group], explained: &[(u32, Pose)]) {
+    pub(crate) fn add_new(&self, found: &mut SiteFindings, groups: &[Group], explained: &[(u32, Pose)]) {
         let options = &self.known.options;
         for group in groups {
             let left = self.unexplained(&group.points, explained);

@@ -86,7 +86,7 @@ pub struct DoubtfulObject {
 
 /// All differences between a model and the site of its drives.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Findings {
+pub struct SiteFindings {
     /// The differences, by kind, and by falling odds within each kind.
     pub changes: Vec<Finding>,
     /// Objects with undecided evidence.

@@ -6,12 +6,11 @@ use crate::observe::priors::own_bounds;
 use crate::observe::terms::AXES;
 use crate::observe::view::{KNOWN, MIN_COSINE, View};
 use glam::{DQuat, DVec3};
-use presight_localize::motion::{motion_between, moved};
+use presight_localize::motion::{NormalEquations, motion_between, moved};
 use presight_localize::verdict::ObjectError;
 use presight_model::caster::{RayCaster, RayHit};
 use presight_model::environment::Environment;
 use presight_model::geometry::{Aabb, Pose};
-use presight_model::matrix::{add_to, apply, inverse};
 use presight_model::statistics::NOISE_BOUND;
 use std::collections::BTreeMap;
 
@@ -130,7 +129,7 @@ impl Fitter<'_> {
         let mut free = [[0.0; 6]; 6];
         (0..6).for_each(|i| free[i][i] = FREE[i].powi(-2));
         for gate in gates {
-            let (mut information, mut gradient) = ([[0.0; 6]; 6], [0.0; 6]);
+            let mut equations = NormalEquations::default();
             let back = pose.inverse();
             for p in points {
                 let q = back.transform_point(*p) + thing.middle;
@@ -140,16 +139,9 @@ impl Fitter<'_> {
                 let n = pose.rotation * if distance > 1e-6 { outward / distance } else { foot.normal };
                 let j = ObjectError::gradient(pose.translation, *p, n);
                 let weight = (1.0 - (distance / gate).powi(2)).powi(2) / POINT_SIGMA.powi(2);
-                for a in 0..6 {
-                    gradient[a] += weight * distance * j[a];
-                    (0..6).for_each(|b| information[a][b] += weight * j[a] * j[b]);
-                }
+                equations.add(-distance, &j, weight);
             }
-            let off = motion_between(&start, &pose);
-            (0..6).for_each(|i| gradient[i] -= free[i][i] * off[i]);
-            add_to(&mut information, &free);
-            let step = apply(&inverse(&information, &AXES), &gradient);
-            pose = moved(&pose, &step);
+            pose = moved(&pose, &equations.step(&free, &motion_between(&start, &pose), &AXES).0);
         }
         Pose { translation: pose.translation - pose.rotation * thing.middle, ..pose }
     }

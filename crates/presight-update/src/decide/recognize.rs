@@ -2,7 +2,7 @@
 
 use crate::decide::boxes::{UprightBox, split};
 use crate::decide::decision::{Decision, OWN, moved};
-use crate::decide::findings::{FindingKind, Findings, by_rank};
+use crate::decide::findings::{FindingKind, SiteFindings, by_rank};
 use crate::decide::fit::{Fitter, Score, Thing};
 use crate::decide::groups::groups;
 use crate::decide::moves::is_same_place;
@@ -77,7 +77,7 @@ struct PlacedShape {
 pub(crate) fn recognize(
     known: &Knowledge,
     world: &World,
-    findings: &mut Findings,
+    findings: &mut SiteFindings,
     library: &Library,
     recognizer: Option<&mut dyn Recognizer>,
 ) -> Result<()> {

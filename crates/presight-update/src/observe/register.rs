@@ -5,7 +5,7 @@ use crate::observe::priors::Priors;
 use crate::observe::terms::{AXES, ObjectTerms, Terms};
 use crate::observe::view::MIN_COSINE;
 use glam::DVec3;
-use presight_localize::motion::{motion_between, moved};
+use presight_localize::motion::{NormalEquations, motion_between, moved};
 use presight_localize::verdict::ObjectError;
 use presight_model::caster::RayCaster;
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
@@ -69,9 +69,7 @@ impl Readings<'_> {
             let residuals = self.residuals(&pose.world_from_robot);
             let mut count: BTreeMap<u32, f64> = BTreeMap::new();
             residuals.iter().for_each(|r| *count.entry(r.object).or_default() += 1.0);
-            let (mut information, mut gradient) = (stated, [0.0; 6]);
-            let off = motion_between(&prior.world_from_robot, &pose.world_from_robot);
-            apply(&stated, &off).iter().zip(&mut gradient).for_each(|(x, g)| *g -= x);
+            let mut equations = NormalEquations::default();
             for r in &residuals {
                 let surface = self.surface(r);
                 let spread = r.variance + surface + quadratic(pose.covariance.as_rows(), &r.gradient).max(0.0);
@@ -80,12 +78,10 @@ impl Readings<'_> {
                     continue;
                 }
                 let weight = (1.0 - share).powi(2) / (r.variance + count[&r.object] * surface);
-                let outer = std::array::from_fn(|i| std::array::from_fn(|j| r.gradient[i] * r.gradient[j]));
-                add_to(&mut information, &scaled(&outer, weight));
-                (0..6).for_each(|i| gradient[i] -= weight * r.distance * r.gradient[i]);
+                equations.add(r.distance, &r.gradient, weight);
             }
-            let covariance = inverse(&information, &axes);
-            let step = apply(&covariance, &gradient);
+            let off = motion_between(&prior.world_from_robot, &pose.world_from_robot);
+            let (step, covariance) = equations.step(&stated, &off, &axes);
             pose = PoseEstimate::new(
                 RobotPose::new(moved(&pose.world_from_robot, &step)),
                 PoseCovariance::from_rows(covariance),

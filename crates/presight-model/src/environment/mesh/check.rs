@@ -1,4 +1,4 @@
-//! What a mesh asks of its vertices and polygons.
+//! Requirements on the vertices and polygons of a mesh.
 
 use super::polygon::{Polygon, PolygonRecord};
 use crate::error::{Error, Result};

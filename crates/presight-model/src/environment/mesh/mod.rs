@@ -89,6 +89,7 @@ impl Mesh {
     }
 
     /// Like [`Mesh::new`], for parts that have been checked already. Keeps only used vertices, in the order of use.
+    #[doc(hidden)]
     pub fn from_parts(name: String, vertices: Vec<Vec3>, parts: &Parts, order: PolygonOrder) -> Self {
         let mut mesh = Self::assemble(name, vertices, parts, order);
         let mut moved = vec![u32::MAX; mesh.vertices.len()];
@@ -146,6 +147,7 @@ impl Mesh {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`], naming the polygon or vertex: not finite, out of range, no area. Planarity and
     /// convexity were checked when the mesh was made.
+    #[doc(hidden)]
     pub fn restored(
         name: String,
         vertices: Vec<Vec3>,
@@ -256,6 +258,7 @@ impl Mesh {
     }
 
     /// The plane of a polygon in the mesh frame.
+    #[doc(hidden)]
     pub fn plane(&self, polygon: u32) -> Plane {
         self.planes[polygon as usize]
     }
@@ -271,6 +274,7 @@ impl Mesh {
     }
 
     /// Runs of neighbouring polygons, in order; together they hold all polygons.
+    #[doc(hidden)]
     pub fn clusters(&self) -> &[Cluster] {
         &self.clusters
     }
@@ -281,6 +285,7 @@ impl Mesh {
     }
 
     /// All polygons.
+    #[doc(hidden)]
     pub fn polygons(&self) -> &[PolygonRecord] {
         &self.polygons
     }
@@ -292,6 +297,7 @@ impl Mesh {
 
     /// The cluster that holds a polygon, and its index. Clusters have similar sizes, so a linear guess is nearly right.
     #[inline(always)]
+    #[doc(hidden)]
     pub fn cluster_of(&self, polygon: u32) -> (usize, &Cluster) {
         let clusters = &self.clusters;
         let mut i = (u64::from(polygon) * clusters.len() as u64 / self.polygons.len() as u64) as usize;
@@ -305,6 +311,7 @@ impl Mesh {
     }
 
     /// Built on the first call.
+    #[doc(hidden)]
     pub fn cluster_vertices(&self) -> &ClusterVertices {
         let made = || ClusterVertices::new(&self.vertices, &self.corners, &self.polygons, &self.clusters);
         self.by_cluster.get_or_init(made)
@@ -312,6 +319,7 @@ impl Mesh {
 
     /// The tree of its triangles for rays, if it is built.
     #[inline]
+    #[doc(hidden)]
     pub fn known_ray_tree(&self) -> Option<&RayTree> {
         self.ray_tree.get().map(|tree| &**tree)
     }
@@ -321,6 +329,7 @@ impl Mesh {
     ///
     /// # Errors
     /// [`crate::ErrorKind::System`] if there is no memory for it.
+    #[doc(hidden)]
     pub fn ray_tree(&self) -> Result<&RayTree> {
         // Not within the cell: a thread that takes other tasks while it waits may come here again.
         if self.ray_tree.get().is_none() {
@@ -330,6 +339,7 @@ impl Mesh {
     }
 
     /// The plane of each polygon, in the frame of the mesh.
+    #[doc(hidden)]
     pub fn planes(&self) -> &[Plane] {
         &self.planes
     }

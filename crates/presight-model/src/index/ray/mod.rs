@@ -4,6 +4,7 @@
 
 mod build;
 
+use super::boxes::{down, up};
 use crate::environment::{Environment, Mesh, PolygonRecord};
 use crate::error::Result;
 use crate::geometry::Plane;
@@ -98,8 +99,8 @@ impl RayTree {
             let corners = record.corners(mesh.all_corners());
             for second in 1..corners.len() as u8 - 1 {
                 let [a, b, c] = [0, second, second + 1].map(|k| mesh.vertices()[corners[usize::from(k)] as usize]);
-                let low = outward(a.min(b).min(c).as_dvec3() - origin, false);
-                let high = outward(a.max(b).max(c).as_dvec3() - origin, true);
+                let low = rounded(a.min(b).min(c).as_dvec3() - origin, down);
+                let high = rounded(a.max(b).max(c).as_dvec3() - origin, up);
                 items.push(Item::new(low, high, fans.len() as u32));
                 fans.push(Fan { polygon, second });
             }
@@ -136,7 +137,7 @@ impl ObjectTree {
         let item = |(id, b): &(u32, crate::geometry::Aabb)| {
             // Covers the rounding of the subtraction.
             let slack = f64::EPSILON * (b.min.abs().max(b.max.abs()) + origin.abs());
-            Item::new(outward(b.min - origin - slack, false), outward(b.max - origin + slack, true), *id)
+            Item::new(rounded(b.min - origin - slack, down), rounded(b.max - origin + slack, up), *id)
         };
         let mut items: Vec<Item> = boxes.iter().map(item).collect();
         let halves = halve(&mut items, 1);
@@ -294,16 +295,8 @@ fn spread_of(mesh: &Mesh, record: PolygonRecord, plane: Plane) -> f64 {
     high - low
 }
 
-/// Rounded away from the inside.
-fn outward(p: DVec3, up: bool) -> Vec3 {
-    Vec3::from_array(p.to_array().map(|x| {
-        let near = x as f32;
-        match up {
-            true if f64::from(near) < x => near.next_up(),
-            false if f64::from(near) > x => near.next_down(),
-            _ => near,
-        }
-    }))
+fn rounded(p: DVec3, round: impl Fn(f64) -> f32) -> Vec3 {
+    Vec3::from_array(p.to_array().map(round))
 }
 
 fn reach_of(binary: &[Half]) -> f32 {

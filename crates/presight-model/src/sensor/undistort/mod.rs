@@ -42,6 +42,7 @@ enum Kind {
 
 impl Distortion {
     /// The model with the region in which it is one to one. Use this for many points.
+    #[doc(hidden)]
     pub fn lens(&self) -> Lens {
         Lens::new(self)
     }

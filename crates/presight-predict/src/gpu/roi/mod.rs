@@ -121,9 +121,9 @@ impl GpuEngine {
     /// device made.
     ///
     /// # Errors
-    /// [`presight_model::error::ErrorKind::Usage`] for a confidence outside 0.5..1; [`presight_model::ErrorKind::DeviceLost`] and [`presight_model::ErrorKind::DeviceMemory`]
-    /// as in [`GpuEngine::render`], after which the CPU can make the boxes; the errors of
-    /// [`presight_model::Threads::new`].
+    /// [`presight_model::error::ErrorKind::Usage`] for a confidence outside 0.5..1;
+    /// [`presight_model::ErrorKind::DeviceLost`] and [`presight_model::ErrorKind::DeviceMemory`] as in
+    /// [`GpuEngine::render`], after which the CPU can make the boxes; the errors of [`presight_model::Threads::new`].
     pub fn add_boxes(&mut self, prediction: &mut FeaturePrediction, query: &BoxQuery<'_>) -> Result<usize> {
         let frame = BoxFrame::new(query)?;
         let stage = self.roi.get_or_insert_with(|| RoiStage::new(&self.gpu));

@@ -38,7 +38,7 @@ pub(super) fn point(c: &Call<'_, '_>, first: usize) -> Result<DVec3> {
 fn join(c: &mut Call<'_, '_>) -> Result<Dynamic> {
     let shapes = c.arg(0).list("an array of shapes", |g| g.shape())?;
     if shapes.is_empty() {
-        return Err(Error::invalid("there is nothing to join", "give at least one shape"));
+        return Err(Error::invalid("there are no shapes to join", "give at least one shape"));
     }
     Shape::joined(&shapes, &c.studio.budget).map(Dynamic::from)
 }

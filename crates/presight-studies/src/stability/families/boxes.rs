@@ -1,6 +1,6 @@
 //! Uncertain features in front of a camera: nearly singular, indefinite and stiff covariances.
 
-use super::{Family, Finding, powers};
+use super::family::{Family, Finding, powers};
 use crate::stability::big::{Big, Vector};
 use crate::stability::subjects::{BoxSetting, Subject};
 use glam::{DMat3, DQuat, DVec3};
@@ -35,7 +35,7 @@ struct Factors {
 enum BoxMeasure {
     /// Covariances of image points, compared with J S J^T computed with a hundred digits.
     Covariance,
-    /// How often regions of interest contain random samples.
+    /// Share of random samples that regions of interest contain.
     Coverage,
 }
 

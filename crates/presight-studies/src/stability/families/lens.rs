@@ -1,8 +1,8 @@
 //! Lenses near their fold, inside and beyond.
 
+use super::family::{Case, Family, Finding, powers};
 use super::scenes::measure;
 use super::shapes::{Scene, frame, wall};
-use super::{Case, Family, Finding, powers};
 use crate::stability::big::{Big, Vector};
 use crate::stability::lens::{Exact, TOLERANCE};
 use crate::stability::subjects::Subject;
@@ -63,7 +63,7 @@ impl Family for Fold {
              part; the true fold is known to 1e-9): image coordinates of rays (engine \"sensor\"), and ranges of a \
              wall."
         } else {
-            "The same beyond the fold, where no pixel may have a ray."
+            "The family beyond the fold, where no pixel may have a ray."
         }
     }
 

@@ -1,7 +1,7 @@
 //! Families of scenes: the table, and functions that make the cases.
 
+use super::family::{Case, Family, Finding, Outcome, powers};
 use super::shapes::{Scene, camera, cuboid, frame, mesh, point, scanner, sensors, wall};
-use super::{Case, Family, Finding, Outcome, powers};
 use crate::stability::judge::{ErrorSummary, TruthImage};
 use crate::stability::subjects::Subject;
 use glam::{DAffine3, DVec3, Vec3};
@@ -53,7 +53,7 @@ pub(super) const SCENES: &[SceneFamily] = &[
     },
     SceneFamily {
         name: "offset",
-        about: "The same room ever farther from the world's origin; beyond 1e12 m it is refused.",
+        about: "A room at growing distances from the world's origin. Beyond 1e12 m it is refused.",
         axis: "distance from the origin, m",
         difficulties: |quick| [powers(0, 8, quick), vec![1e11, 1e13]].concat(),
         cases: offset,
@@ -85,7 +85,7 @@ pub(super) const SCENES: &[SceneFamily] = &[
     },
     SceneFamily {
         name: "bulge",
-        about: "The same with an ever flatter convex corner: three corners nearly in a line.",
+        about: "The scene with an ever flatter convex corner: three corners nearly in a line.",
         axis: "height of the bulge, m",
         difficulties: |quick| powers(-1, -9, quick),
         cases: |height| dented(-height),
@@ -277,7 +277,7 @@ fn warped(height: f64) -> Result<Vec<Case>> {
     let mut scene = Scene::new(frame(DVec3::new(0.2, 0.4, -0.3)))?;
     let sheet = [[0.0, -1.0, -1.0], [0.0, 1.0, -1.0], [height, 1.0, 1.0], [0.0, -1.0, 1.0]].map(point).to_vec();
     scene.add(std::slice::from_ref(&sheet), Pose::from_xyz_rpy(DVec3::new(2.0, 0.1, 0.05), 0.2, 0.5, -0.3))?;
-    // The same sheet again, seen nearly along its plane.
+    // A sheet seen nearly along its plane.
     scene.add(&[sheet], Pose::from_xyz_rpy(DVec3::new(1.5, 0.6, -1.0), 0.1, 1.55, 0.0))?;
     scene.add(&[wall(5.0, [-9.0, 9.0], [-9.0, 9.0])], Pose::IDENTITY)?;
     let [all, around] = sensors(DVec3::ZERO)?;

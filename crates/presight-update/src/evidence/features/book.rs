@@ -3,7 +3,7 @@
 use crate::evidence::features::blind::{Counts, Region, is_blind, region};
 use crate::evidence::features::located::{Offsets, SensorAtPose};
 use crate::evidence::features::sightings::{Mean, Sighting, Tracks, add_value, place_of};
-use presight_localize::extract::{FeatureClass, FeatureFinding, Findings};
+use presight_localize::extract::{FeatureClass, FeatureFinding, FeatureFindings};
 use presight_model::caster::RayCaster;
 use presight_model::environment::{Environment, Feature, FeatureShape};
 use presight_model::geometry::{Pose, PoseEstimate};
@@ -66,7 +66,7 @@ pub(crate) fn pose_of(environment: &Environment, feature: &Feature) -> Pose {
 /// image is ignored.
 pub(crate) fn features_in(
     frame: &Frame,
-    findings: &Findings,
+    findings: &FeatureFindings,
     pose: &PoseEstimate,
     known: &KnownFeatures<'_>,
 ) -> FeatureViews {
@@ -203,7 +203,7 @@ mod tests {
         let of = |classes: &[FeatureClass]| {
             let features = (1..).zip(classes).map(|(id, class)| finding(id, *class)).collect();
             let detections = vec![Detection::point(DVec2::ZERO, 0.5)];
-            features_in(&scan(), &Findings { features, detections, ..Findings::default() }, &pose, &known)
+            features_in(&scan(), &FeatureFindings { features, detections, ..FeatureFindings::default() }, &pose, &known)
         };
         let (matched, missing) = (FeatureClass::Matched(0), FeatureClass::Missing);
         assert!(of(&[missing, missing, missing, matched]).known.is_empty());

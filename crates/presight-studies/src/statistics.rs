@@ -1,9 +1,10 @@
 //! Statistics of repeated predictions, as JSON and as text.
 
-use super::flags;
-use presight::predict::{CountName, DeadlineOutcome, StageName, StageRow, StageVariant, Work};
-use presight::tools::{median, quantile, write_atomically};
-use presight::{Error, Raster, Result, Stats, Way};
+use presight::tools::write_atomically;
+use presight_model::error::{Error, Result};
+use presight_model::statistics::{median, quantile};
+use presight_render::deadline::DeadlineOutcome;
+use presight_render::plan::{CountName, Raster, StageName, StageRow, StageVariant, Stats, Way, Work};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -139,7 +140,7 @@ impl Statistics {
             work: last.work,
             taken: last.taken,
             left_out,
-            notices: last.notices.iter().map(|notice| flags::named(notice)).collect(),
+            notices: last.notices.clone(),
             deadline: last.deadline,
             rows,
         }
@@ -148,7 +149,7 @@ impl Statistics {
     /// Writes the statistics as JSON.
     ///
     /// # Errors
-    /// [`presight::ErrorKind::System`] if the file cannot be written.
+    /// [`presight_model::ErrorKind::System`] if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let json = serde_json::to_string_pretty(self)
             .map_err(|e| Error::invalid(format!("cannot write the statistics as JSON: {e}"), "").in_file(path))?;

@@ -1,4 +1,4 @@
-//! Ways of a robot on a level floor that touch nothing.
+//! Routes of a robot on a level floor, clear of obstacles.
 
 use super::Random;
 use super::oracle::Oracle;
@@ -6,48 +6,48 @@ use glam::DVec3;
 use presight_model::geometry::{Aabb, Pose};
 use std::f64::consts::{PI, TAU};
 
-/// Seconds between the poses that a way keeps.
+/// Time between the poses of a route, seconds.
 const STEP: f64 = 0.02;
-/// Heights above the floor in which nothing may be near, metres.
+/// Heights above the floor that must be clear, metres.
 const HEIGHTS: [f64; 3] = [0.2, 0.5, 0.9];
-/// Directions in which the robot looks for obstacles.
+/// Number of directions in which obstacles are searched.
 const DIRECTIONS: usize = 24;
 /// Accelerations, m/s^2 and rad/s^2.
 const ACCELERATION: (f64, f64) = (1.0, 2.5);
-/// Starts that are tried.
+/// Maximum number of random starts.
 const TRIES: u64 = 2000;
 
-/// How a robot drives.
+/// Duration and limits of a drive.
 #[derive(Clone, Copy, Debug)]
 pub struct Driving {
-    /// Seconds.
+    /// Duration, seconds.
     pub seconds: f64,
-    /// Most metres per second.
+    /// Maximum speed, m/s.
     pub speed: f64,
-    /// Most radians per second.
+    /// Maximum turn rate, rad/s.
     pub turn: f64,
 }
 
-/// Where a robot is at each time: on the floor at z = 0, upright.
+/// The poses of a robot over time, upright on the floor at z = 0.
 #[derive(Clone, Debug)]
-pub struct Way {
+pub struct Route {
     /// x, y, yaw; the yaw has no jumps.
     places: Vec<[f64; 3]>,
 }
 
-impl Way {
-    /// A straight way from a place, metres and radians.
+impl Route {
+    /// A straight route from a place, metres and radians.
     pub fn straight([x, y, yaw]: [f64; 3], speed: f64, seconds: f64) -> Self {
         let at = |k: usize| speed * STEP * k as f64;
         let place = |k: usize| [x + at(k) * yaw.cos(), y + at(k) * yaw.sin(), yaw];
         Self { places: (0..=(seconds / STEP).ceil() as usize).map(place).collect() }
     }
 
-    /// A way that wanders about within the environment's `bounds` and keeps 0.3 m from everything. The same seed gives the same
-    /// way.
+    /// A random route within the environment's `bounds`, at least 0.3 m from all surfaces. Equal seeds give equal
+    /// routes.
     ///
     /// # Panics
-    /// If there is no free way.
+    /// If no free route is found.
     pub fn wander(oracle: &Oracle, bounds: &Aabb, driving: &Driving, seed: u64) -> Self {
         let mut random = Random(seed);
         for _ in 0..TRIES {
@@ -65,7 +65,7 @@ impl Way {
                 return Self { places };
             }
         }
-        panic!("no free way was found")
+        panic!("no free route was found")
     }
 
     /// The robot's pose at a time from 0 on, seconds. It stands still at the end.
@@ -86,13 +86,13 @@ impl Way {
         self.places.iter().step_by(5).map(|p| [p[0], p[1]])
     }
 
-    /// Seconds.
+    /// Duration, seconds.
     pub fn duration(&self) -> f64 {
         STEP * (self.places.len() - 1) as f64
     }
 }
 
-/// Distances to the nearest obstacles all round, beginning ahead, counter-clockwise.
+/// Distances to the nearest obstacles in all directions, counter-clockwise from straight ahead.
 fn around(oracle: &Oracle, [x, y, yaw]: [f64; 3]) -> [f64; DIRECTIONS] {
     std::array::from_fn(|k| {
         let azimuth = yaw + TAU * k as f64 / DIRECTIONS as f64;
