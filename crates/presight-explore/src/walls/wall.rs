@@ -113,8 +113,8 @@ fn fitted(mut walls: Vec<Wall>, rays: &[Ray]) -> Vec<Wall> {
     walls
 }
 
-/// Greedy selection of at most `max` walls. The gain of a wall is the number of rays that it explains and no selected wall
-/// does, minus the number of rays that it blocks and no selected wall does.
+/// Greedy selection of at most `max` walls. The gain of a wall is the number of rays that it explains and no selected
+/// wall does, minus the number of rays that it blocks and no selected wall does.
 fn selected(walls: Vec<Wall>, rays: &[Ray], max: usize) -> Vec<Wall> {
     let of = |wall: &Wall| {
         let (mut hits, mut blocked) = (Vec::new(), Vec::new());

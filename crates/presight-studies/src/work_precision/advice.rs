@@ -349,9 +349,9 @@ mod tests {
         assert_eq!(
             text,
             " For features take cpu, default, which is the default: errors of visible fractions at most 0.0530, \
-             0.00300 on average, in 10 ms, measured on 40 features. cpu, features by rays (--take features by rays) has \
-             errors of visible fractions at most 0.0310, 0.00200 on average, but takes 1343 ms: time grows by more than \
-             the errors fall."
+             0.00300 on average, in 10 ms, measured on 40 features. cpu, features by rays (--take features by rays) \
+             has errors of visible fractions at most 0.0310, 0.00200 on average, but takes 1343 ms: time grows by more \
+             than the errors fall."
         );
         // In 1.2 times the time, it is: the products of error and time are 0.37 and 0.024 against 0.53 and 0.03.
         let text = for_features(&[rays(12.0), default.clone()].concat(), 40);
