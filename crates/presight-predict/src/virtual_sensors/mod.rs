@@ -187,7 +187,8 @@ impl VirtualSensor {
     /// Computes its reading from a view. This is a pure function.
     ///
     /// ```
-    /// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
+    /// use presight::virtual_sensors::{Settings, View, VirtualSensor};
+    /// use presight_predict::virtual_sensors::Answer;
     /// use presight::environment::Environment;
     /// use presight::{Options, Pose, Predictor, Request, SensorPose, World};
     /// use glam::DVec3;

@@ -1,6 +1,6 @@
 //! Objects in the view of a tile: a tree, with the tile's axes and the sensor in its frame.
 
-use super::super::setup::RayInstance;
+use super::super::instance::RayInstance;
 use crate::plan::FramePlan;
 use glam::{DMat3, DVec3};
 use presight_model::geometry::Aabb;
