@@ -6,7 +6,7 @@
 const KIND: u32 = 6u;
 // Maximum number of points of a feature, of events of a side, and of all events.
 const POINTS: u32 = 16u;
-const MAX_POINTS: u32 = 3u;
+const MAX_SIDE_POINTS: u32 = 3u;
 const EVENTS: u32 = 12u;
 const TAIL_CELLS: u32 = 64u;
 const TAIL_COLUMNS: u32 = 66u;
@@ -223,7 +223,7 @@ fn choose_events(k: f32) {
                 events[event_count] = Event(at, side, deviations, rate, tail(deviations), 0u, -1.0);
                 event_count++;
             }
-            if event_count == first + MAX_POINTS {
+            if event_count == first + MAX_SIDE_POINTS {
                 break;
             }
             // The next point, by deviations and then by number.

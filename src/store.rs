@@ -3,6 +3,6 @@
 
 #[doc(inline)]
 pub use presight_store::{
-    ChangeBatch, ChangeEvidence, Existing, Info, LogEntry, Note, ProposedChange, SceneMerge, Store, apply_line, check,
-    create, feature_change, feature_line, info, log, read, read_world,
+    ChangeBatch, ChangeEvidence, Edit, EditPose, Existing, Info, LogEntry, Note, ProposedChange, SceneMerge,
+    ShapeSource, Store, apply_line, check, create, feature_change, feature_line, info, log, read, read_world,
 };

@@ -135,7 +135,7 @@ fn localized(log: &Log) -> Row {
                 (found.translation - truth.translation).length(),
                 found.rotation.angle_between(truth.rotation).to_degrees(),
             );
-            let (squared, axes) = nees(&step.pose, truth);
+            let (squared, axes) = nees(&step.pose, &RobotPose::new(*truth));
             let is_near = off.0 < 0.05 && off.1 < 1.0;
             line += &format!("; {:.3} m {:.2} deg, NEES {:.1}", off.0, off.1, squared / axes.max(1) as f64);
             if is_tracking {
@@ -197,7 +197,7 @@ fn depth_camera() -> Sensor {
     Sensor::new(spec).expect("a camera")
 }
 
-/// A drive on a way through a changed world.
+/// A drive on a route through a changed world.
 struct Drive<'a> {
     world: &'a World,
     route: Route,
@@ -300,7 +300,7 @@ fn elsewhere_with(world: &World, log: Log, given: bool, seed: u64) -> Log {
     Log { map: world.clone(), truth: vec![None; log.frames.len()], start, ..log }
 }
 
-/// The map shows the building from behind: each scan is the other way round.
+/// The map shows the building from behind: each scan is mirrored.
 fn mirrored(world: &World, _: &World, frames: usize, seed: u64) -> Log {
     let log = Drive { walkers: 0, ..Drive::new(world, frames, seed) }.usual();
     Log { truth: vec![None; frames], ..from_behind(log) }

@@ -121,7 +121,7 @@ impl Errors {
         self.undetermined += usize::from(!found.is_determined());
         self.squares[0] += off[..3].iter().map(|x| x * x).sum::<f64>();
         self.squares[1] += off[5].to_degrees().powi(2);
-        self.nees.push(nees(&found.pose, truth));
+        self.nees.push(nees(&found.pose, &RobotPose::new(*truth)));
     }
 
     fn row(&self, name: &str) {
@@ -322,7 +322,7 @@ fn is_right(frame: &Frame, step: &Step, truth: &Pose) -> bool {
         let along: f64 = off.iter().zip(&weak.motion).map(|(a, b)| a * b).sum();
         (0..6).for_each(|i| off[i] -= along * weak.motion[i]);
     }
-    let (squared, _) = nees(&step.pose, truth);
+    let (squared, _) = nees(&step.pose, &RobotPose::new(*truth));
     off[..3].iter().map(|x| x * x).sum::<f64>().sqrt() < 0.1 && squared < 21.1
 }
 

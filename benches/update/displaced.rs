@@ -6,7 +6,7 @@ use presight_localize::estimate::{EstimateOptions, Estimator, nees};
 use presight_localize::simulate::displace;
 use presight_model::change::Change;
 use presight_model::environment::Environment;
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
@@ -95,7 +95,7 @@ pub fn judge(world: &World, frames: &[(Frame, PoseEstimate, Pose)]) -> Judged {
         if !found.is_determined() {
             continue;
         }
-        let (squared, axes) = nees(&found.pose, truth);
+        let (squared, axes) = nees(&found.pose, &RobotPose::new(*truth));
         let off = found.pose.world_from_robot.translation.distance_squared(truth.translation);
         judged.add(&Judged { views: 1, squares: off, nees: squared, axes });
     }

@@ -128,11 +128,18 @@ impl Sources {
 
     /// Adds the types that the text in a macro's call may define: a name before a brace.
     fn add_macro(&mut self, module: &Name, text: &str) {
+        fn is_name_of_type(word: &&str) -> bool {
+            word.starts_with(char::is_uppercase) && word.chars().all(char::is_alphanumeric)
+        }
         // Without string literals, which hold the docs.
         let code: String = text.replace("\\\"", "").split('"').step_by(2).collect();
-        let is_name = |word: &&str| word.starts_with(char::is_uppercase) && word.chars().all(char::is_alphanumeric);
-        let shown: BTreeSet<String> = super::architecture::words(&code).filter(is_name).map(str::to_owned).collect();
-        let before = code.split('{').filter_map(|part| part.split_whitespace().last()).filter(is_name);
+        // A type comes after one of these; a variant does not.
+        let after = code.split([':', '<', '&', '(']).skip(1).filter_map(|part| {
+            let word = part.trim_start().split(|c: char| !c.is_alphanumeric()).next()?;
+            Some(word).filter(is_name_of_type)
+        });
+        let shown: BTreeSet<String> = after.map(str::to_owned).collect();
+        let before = code.split('{').filter_map(|part| part.split_whitespace().last()).filter(is_name_of_type);
         let types: Vec<_> = before.map(|word| (word.to_owned(), shown.clone())).collect();
         self.at(module).by_macro.extend(types);
     }

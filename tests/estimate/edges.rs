@@ -107,7 +107,7 @@ fn edges_alone_determine_the_pose() {
                 .unwrap();
         let (m, d) = apart(&found.pose.world_from_robot, &truth);
         (metres, degrees) = (metres.max(m), degrees.max(d));
-        let (squared, numbers) = nees(&found.pose, &truth);
+        let (squared, numbers) = nees(&found.pose, &RobotPose::new(truth));
         scores.push(squared / numbers as f64);
         assert!(found.weak.is_empty(), "{:?}", found.weak);
     }

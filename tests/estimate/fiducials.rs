@@ -122,7 +122,7 @@ fn tags_alone_determine_the_pose() {
         assert_eq!(found.findings[0].count("matched"), 4);
         let (m, d) = apart(&found.pose.world_from_robot, &truth);
         assert!(m < 0.015 && d < 0.25, "{seed}: {m} m, {d} deg");
-        let (squared, numbers) = nees(&found.pose, &truth);
+        let (squared, numbers) = nees(&found.pose, &RobotPose::new(truth));
         scores += squared / numbers as f64 / 4.0;
     }
     assert!(scores < 2.5, "NEES {scores}");
@@ -166,7 +166,7 @@ fn a_tag_that_was_moved_is_not_believed() {
             for some in [vec![0, 1, 2, 3], vec![0, 1, 2], pair.to_vec()] {
                 let [real, map] = [real, TAGS].map(|all| some.iter().map(|k| all[*k]).collect::<Vec<Tag>>());
                 let found = seen_in(&with_tags(&real).0, &map, &believed, &place(), 5);
-                let (squared, numbers) = nees(&found.pose, &place());
+                let (squared, numbers) = nees(&found.pose, &RobotPose::new(place()));
                 let (score, off) = (squared / numbers as f64, apart(&found.pose.world_from_robot, &place()));
                 eprintln!("{some:?}, {moved} by {dy} {dz}: NEES {score}, {off:?}, {:?}", found.state);
                 assert!(!found.is_determined() || score < 4.0, "{some:?}, {moved}: NEES {score}, {off:?}");

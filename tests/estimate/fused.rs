@@ -48,7 +48,7 @@ fn errors(map: &World, real: &World) -> [(f64, f64, f64); 3] {
             let found = estimate(map, &features, &frames, &prior);
             assert!(found.is_determined(), "{:?}", found.state);
             let (m, d) = apart(&found.pose.world_from_robot, &truth);
-            let (squared, numbers) = nees(&found.pose, &truth);
+            let (squared, numbers) = nees(&found.pose, &RobotPose::new(truth));
             *sums = (sums.0 + m * m, sums.1 + d * d, sums.2.max(squared / numbers as f64));
         }
     }

@@ -46,7 +46,7 @@ fn drive(map: &World, real: &World, places: &[Pose]) -> Errors {
             let frame = simulator.frame(real, k as f64, &RobotPose::new(pose(k))).unwrap();
             let step = robot.step(map, &frame).unwrap();
             assert!(step.estimate.is_determined(), "place {seed}, frame {k}: {}", step.reason);
-            let (squared, numbers) = nees(&step.pose, &pose(k));
+            let (squared, numbers) = nees(&step.pose, &RobotPose::new(pose(k)));
             all.push(squared / numbers as f64);
             let off = presight_localize::estimate::motion_between(&step.pose.world_from_robot, &pose(k));
             squares[0] += off[..3].iter().map(|x| x * x).sum::<f64>();
@@ -151,7 +151,7 @@ fn two_sensors_in_a_scripted_hall() {
                 simulators.iter_mut().map(|s| s.frame(&map, k as f64, &RobotPose::new(truth)).unwrap()).collect();
             let step = robot.step_together(&map, &all[0], &all[1..].iter().collect::<Vec<_>>()).unwrap();
             assert!(step.estimate.is_determined(), "{} sensors, frame {k}: {}", sensors.len(), step.reason);
-            let (squared, numbers) = nees(&step.pose, &truth);
+            let (squared, numbers) = nees(&step.pose, &RobotPose::new(truth));
             assert!(squared / (numbers as f64) < 6.0, "{} sensors, frame {k}: {squared}", sensors.len());
             squares += apart(&step.pose.world_from_robot, &truth).0.powi(2);
         }

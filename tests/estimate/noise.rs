@@ -150,7 +150,7 @@ fn a_noisy_depth_camera_has_consistent_covariances() {
             let off = std::array::from_fn(|axis| if axis < 3 { 0.02 } else { 0.01 } * normal(&mut random));
             let prior = PoseEstimate::of_sigmas(RobotPose::new(moved(&truth, &off)), 0.02, 0.01);
             let found = estimator.estimate(&world, &[&frame], &prior).unwrap();
-            sum += nees(&found.pose, &truth).0 / 6.0 / f64::from(frames);
+            sum += nees(&found.pose, &RobotPose::new(truth)).0 / 6.0 / f64::from(frames);
             turned += apart(&found.pose.world_from_robot, &truth).1.powi(2) / f64::from(frames);
         }
         let degrees = turned.sqrt();

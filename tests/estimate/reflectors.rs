@@ -125,7 +125,7 @@ fn reflectors_determine_the_position_along_a_corridor() {
             assert_eq!(classes(&found), vec!["matched"; count]);
             // One of several reflectors may be beyond 3.3 standard deviations.
             assert!(found.reflectors.1 == count && found.reflectors.0 + 1 >= count, "{:?}", found.reflectors);
-            let (squared, numbers) = nees(&found.pose, &truth());
+            let (squared, numbers) = nees(&found.pose, &RobotPose::new(truth()));
             scores += squared / numbers as f64 / 12.0;
         }
     }

@@ -31,7 +31,7 @@ fn a_scan_that_turns_is_as_unsure_as_its_motion() {
         let frame = caster.frame(&|t| route.at(t), time, (k > 0).then_some(time - 0.1));
         let step = robot.step(&world, &frame).unwrap();
         assert_eq!(step.phase, Phase::Tracking, "{k}: {}", step.reason);
-        let (squared, axes) = nees(&step.pose, &route.at(time));
+        let (squared, axes) = nees(&step.pose, &RobotPose::new(route.at(time)));
         let off = apart(&step.pose.world_from_robot, &route.at(time));
         if k >= 10 {
             sum += squared / axes as f64 / 50.0;

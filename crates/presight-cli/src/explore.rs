@@ -324,7 +324,7 @@ fn report(found: &Exploration, views: &Views, number: u64) -> String {
     );
     let areas = found.areas;
     text += &format!(
-        "surface {:.2} m2; beside it open {:.2} m2, unobserved {:.2} m2\n",
+        "surface {:.2} m2; adjacent: open {:.2} m2, unobserved {:.2} m2\n",
         areas.surface, areas.open, areas.unseen
     );
     if found.parts.len() > 1 {

@@ -58,6 +58,7 @@ mod tests {
             "features",
             "predict",
             "files",
+            "read",
             "pictures",
             "store",
             "localize",

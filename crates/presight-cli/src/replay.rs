@@ -11,7 +11,7 @@ use presight::measured::Frame;
 use presight::tools::{create_folder, write_atomically};
 use presight::verdict::Verdict as Judged;
 use presight::{
-    Backend, Error, Images, Options, Output, Outputs, Predictor, Request, Result, Scene, Sensor, SensorPose,
+    Backend, Error, Images, Options, Output, Outputs, Predictor, Request, Result, RobotPose, Scene, Sensor, SensorPose,
 };
 use presight_pictures::{Comparison, GreyMark, GreyPanel, Overlay, PlanMarks, write_comparison};
 use presight_studies::page::replay::{Leaf, page};
@@ -270,6 +270,6 @@ fn leaf(followed: &Followed, k: usize, picture: &str, extra: (f64, f64)) -> Leaf
             let metres = step.pose.world_from_robot.translation.distance(t.translation);
             (metres, step.pose.world_from_robot.rotation.angle_between(t.rotation).to_degrees())
         }),
-        nees: known.map(|t| nees(&wider, &t)).map(|(squared, n)| squared / n.max(1) as f64),
+        nees: known.map(|t| nees(&wider, &RobotPose::new(t))).map(|(squared, n)| squared / n.max(1) as f64),
     }
 }

@@ -1,7 +1,7 @@
 //! Small motions of a pose as six numbers, and the least-squares problem that determines them.
 
 use glam::{DQuat, DVec3};
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::matrix::{Matrix, add_to, apply, inverse, quadratic};
 
 /// A small motion: x y z in metres, then rotation about fixed x y z in radians.
@@ -56,10 +56,10 @@ impl NormalEquations {
 
 /// The normalized estimation error squared (NEES) and its number of axes: e' C^-1 e, with e the motion from a pose to
 /// the true pose, and C its covariance (as in [`moved`]). Axes with zero variance were not estimated and do not count.
-pub fn nees(estimate: &PoseEstimate, truth: &Pose) -> (f64, usize) {
+pub fn nees(estimate: &PoseEstimate, truth: &RobotPose) -> (f64, usize) {
     let covariance = estimate.covariance.as_rows();
     let axes: Vec<usize> = (0..6).filter(|i| covariance[*i][*i] > 0.0).collect();
-    let error = motion_between(&estimate.world_from_robot, truth);
+    let error = motion_between(&estimate.world_from_robot, &truth.world_from_robot());
     (quadratic(&inverse(covariance, &axes), &error), axes.len())
 }
 

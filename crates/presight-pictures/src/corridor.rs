@@ -2,7 +2,7 @@
 
 use super::canvas::{Canvas, FAINT, INK, Rgb, TEXT_HEIGHT, text_width};
 use super::png::{PixelFormat, encode};
-use super::view::{HEADER, MARGIN};
+use super::view::{HEADER, MARGIN, NARROWEST};
 use super::write_atomically;
 use presight_model::error::{Error, Result};
 use std::io::BufWriter;
@@ -10,8 +10,6 @@ use std::path::Path;
 
 /// Approximate length of the longer side of the corridor, pixels.
 const SIDE: u32 = 800;
-/// Minimum page width that holds title and legend, pixels.
-const NARROWEST: u32 = 560;
 /// Names and colours of the states, in the order of the shares.
 const STATES: [(&str, Rgb); 4] = [
     ("free", [0x3f, 0xa7, 0x5c]),

@@ -23,7 +23,7 @@ pub const HEADER: u32 = TEXT_HEIGHT + 12;
 /// An image is drawn at least this wide and high, pixels.
 const THINNEST: f64 = 24.0;
 /// Minimum page width that holds title and legend, pixels.
-const NARROWEST: u32 = 560;
+pub const NARROWEST: u32 = 560;
 
 /// Draws the image pixel by pixel.
 pub fn draw(

@@ -122,7 +122,7 @@ fn create(path: &Path, access: Access) -> io::Result<File> {
 pub fn create_folder(folder: &Path) -> error::Result<()> {
     let refused = |what: &str, e: io::Error| {
         let what = format!("cannot {what}: {e}");
-        Error::new(ErrorKind::System, what, "choose another --out").in_file(folder).caused_by(e)
+        Error::new(ErrorKind::System, what, "choose another folder").in_file(folder).caused_by(e)
     };
     fs::create_dir_all(folder).map_err(|e| refused("create the folder", e))?;
     Temporary::new(folder, Access::Private).map(drop).map_err(|e| refused("write into the folder", e))

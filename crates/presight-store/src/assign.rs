@@ -69,9 +69,9 @@ mod tests {
             let columns = rows + more;
             let costs: Vec<Vec<i64>> = numbers.chunks(columns).take(rows).map(<[i64]>::to_vec).collect();
             let found = assign(&costs);
-            let (least, ways) = by_force(&costs, 0, &mut vec![false; columns]);
+            let (min_total, assignments) = by_force(&costs, 0, &mut vec![false; columns]);
             let total: i64 = found.columns.iter().zip(&costs).map(|(c, row)| row[*c]).sum();
-            prop_assert_eq!((total, found.is_tie), (least, ways > 1));
+            prop_assert_eq!((total, found.is_tie), (min_total, assignments > 1));
             let mut own = found.columns;
             own.sort_unstable();
             own.dedup();

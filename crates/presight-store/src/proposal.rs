@@ -33,7 +33,6 @@ pub struct ProposedChange {
     /// since.
     pub was: Vec<(String, Pose)>,
     /// The change.
-    #[doc(hidden)]
     pub edit: Edit,
 }
 
@@ -151,7 +150,6 @@ impl ProposedChange {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] if an [`Edit::Change`] inserts an object.
-    #[doc(hidden)]
     pub fn new(
         edit: Edit,
         cause: impl Into<String>,

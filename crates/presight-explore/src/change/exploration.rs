@@ -45,9 +45,9 @@ pub struct Exploration {
     environment: Environment,
     /// The new objects.
     pub objects: Vec<ExploredObject>,
-    /// Paths of the objects of which no part is left.
+    /// Paths of the objects that have no remaining part.
     pub gone: Vec<String>,
-    /// Areas of the new surfaces, and of the openings and unobserved cells beside them, square metres.
+    /// Areas of the new surfaces, and of the adjacent openings and unobserved cells, square metres.
     pub areas: Areas,
     /// Area of the known surfaces that rays passed through, square metres.
     pub opened: f64,

@@ -64,7 +64,7 @@ impl Margins {
 }
 
 /// Neighbouring planes that divide a plane along their common lines. Pixels may be farther apart than cells, so a ray
-/// that ended on one side of such a line is no evidence for a cell on the other side.
+/// that ended on one side of such a line supports no cell on the other side.
 #[derive(Default)]
 pub(crate) struct Fences {
     pub planes: Vec<Flat>,

@@ -134,8 +134,8 @@ mod tests {
         assert_eq!(convex(&[square(0.0, 4.0)]).len(), 1);
     }
 
-    /// A bow tie encloses two triangles of one square metre each. The crossing itself is no corner of the
-    /// triangulation, so the area may differ, but it stays within the square.
+    /// A bow tie encloses two triangles of one square metre each. The triangulation has no corner at the crossing, so
+    /// the area may differ, but it stays within the square.
     #[test]
     fn lines_may_cross() {
         let tie = [[0.0, 0.0], [2.0, 2.0], [2.0, 0.0], [0.0, 2.0]].map(DVec2::from).to_vec();

@@ -15,7 +15,7 @@ pub(crate) fn are_sparse(views: &Views, detail: f64) -> bool {
         let mut ranges: Vec<f64> = view.ranges.iter().filter(|r| r.is_finite()).map(|r| f64::from(*r)).collect();
         median(&mut ranges).unwrap_or(0.0) * spacing.max_element()
     };
-    let mut all: Vec<f64> = views.some(16).all().iter().map(distance).collect();
+    let mut all: Vec<f64> = views.sample().all().iter().map(distance).collect();
     median(&mut all).is_some_and(|distance| distance > SPARSE * detail * (views.all().len() as f64).sqrt())
 }
 

@@ -107,6 +107,11 @@ impl Views {
         Self { base: self.base, views }
     }
 
+    /// A sample of the views that suffices for medians over their pixels and for mirrors.
+    pub(crate) fn sample(&self) -> Self {
+        self.some(16)
+    }
+
     /// One of the views alone.
     pub(crate) fn only(&self, number: usize) -> Self {
         Self { base: self.base, views: vec![self.views[number].clone()] }

@@ -15,7 +15,7 @@ pub(crate) struct Surfaces {
     pub(crate) mirrored: usize,
     pub(crate) planes: Vec<Flat>,
     pub(crate) pieces: Vec<Piece>,
-    /// By plane: weights of the rays that ended on it, and of those that passed through it.
+    /// By plane: weight of its hits, and weight of its passes.
     pub(crate) evidence: Vec<[f64; 2]>,
     /// By plane: the standard deviation along its normal, metres.
     pub(crate) sigmas: Vec<f64>,

@@ -13,8 +13,6 @@ const MIN_AREA: f64 = 0.5;
 const BEHIND: f64 = 0.1;
 /// Side of the cells of an opening, metres.
 const CELL: f64 = 0.1;
-/// Maximum number of views in which mirrors are searched.
-const VIEWS: usize = 16;
 /// Minimum cosine between the normals of a point and the mirror. Surfaces perpendicular to the mirror's plane, such as
 /// the floor, also continue behind an open door.
 const ACROSS: f64 = 0.3;
@@ -68,7 +66,7 @@ fn mirrors(views: &Views, surface: &Surface, plane: &Flat, members: &[u32]) -> V
     let size = surface.surfels[members[0] as usize].size;
     // By cell: number of points that could be images, and number of images.
     let mut counts: BTreeMap<[i64; 2], [u32; 2]> = BTreeMap::new();
-    for view in views.some(VIEWS).all() {
+    for view in views.sample().all() {
         for pixel in view.inner_pixels() {
             let Some(q) = crossing(plane, view, pixel).filter(|q| q.cmpge(min).all() && q.cmple(max).all()) else {
                 continue;

@@ -52,9 +52,9 @@ pub(crate) struct OutlineOptions {
 pub struct Areas {
     /// Surface on which rays ended.
     pub surface: f64,
-    /// Openings beside the surface, through which rays passed.
+    /// Adjacent openings, through which rays passed.
     pub open: f64,
-    /// Unobserved area beside the surface.
+    /// Adjacent unobserved area.
     pub unseen: f64,
 }
 
@@ -71,9 +71,9 @@ impl Areas {
 pub(crate) struct Outline {
     pub pieces: Vec<Piece>,
     pub areas: Areas,
-    /// Middles of the unobserved cells beside the surface, and the size of a cell, metres.
+    /// Middles of the adjacent unobserved cells, and the size of a cell, metres.
     pub unseen: (Vec<DVec3>, f64),
-    /// Weights of the rays that ended on the surface, and of those that passed through it.
+    /// Weight of the hits on the surface, and weight of its passes.
     pub evidence: [f64; 2],
 }
 

@@ -50,7 +50,7 @@ impl Regions {
         members
     }
 
-    /// Moves each surfel to the best plane among those of its neighbours, then fits the planes again.
+    /// Moves each surfel to the best of its neighbours' planes, then fits the planes again.
     fn adapt(&mut self, surface: &Surface, rounds: usize) {
         for _ in 0..rounds {
             let (labels, planes) = (&self.labels, &self.planes);

@@ -138,7 +138,7 @@ impl Drawn<'_> {
             let mut border = vec![first];
             while at != first {
                 border.push(at);
-                // Each corner is the start of as many sides as it is the end of.
+                // Equal numbers of sides start and end at each corner.
                 let Some(next) = open.range((at, 0)..=(at, u32::MAX)).next().copied() else { break };
                 open.remove(&next);
                 at = next.1;

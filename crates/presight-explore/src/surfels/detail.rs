@@ -12,8 +12,6 @@ use std::collections::HashMap;
 pub(crate) const MIN_SIZE: f64 = 0.02;
 /// Maximum size of a surfel, metres.
 const MAX_SIZE: f64 = 1.0;
-/// Maximum number of views from which the noise is estimated.
-const VIEWS: usize = 16;
 /// Share of the cells of a surface that may be missed by chance. Each is a hole.
 const MISS_RATE: f64 = 1e-4;
 /// Normal deviate of the admissible error of a surfel, which one in a hundred exceeds.
@@ -64,7 +62,7 @@ struct Reach {
 impl Detail {
     /// The sizes that the views support, or the given size, metres.
     pub fn of(views: &Views, given: Option<f64>) -> Self {
-        let sample = views.some(VIEWS);
+        let sample = views.sample();
         let mut spread: HashMap<i32, Vec<f64>> = HashMap::new();
         let mut footprints = Footprints::default();
         for view in sample.all() {

@@ -11,7 +11,7 @@ const ALONG: f64 = 0.5;
 /// side of the cube separates one point in a thousand.
 const SEPARATION: f64 = 3.3;
 
-/// The surfels after merging those that noise separated. The smallest surfels have the size `min_size`, and their
+/// The surfels after merging the ones that noise separated. The smallest surfels have the size `min_size`, and their
 /// ranges the standard deviation `noise`, metres.
 pub(crate) fn merged(surfels: &[Surfel], min_size: f64, noise: f64) -> Vec<Surfel> {
     let points = surfels.iter().zip(0u32..).map(|(s, i)| GeomWithData::new(s.at.to_array(), i)).collect();

@@ -28,7 +28,7 @@ const REACH: (f64, f64) = (0.5, 0.4);
 /// Minimum explained share of a frame's points: below it a quick search is given up, and a full search tries more
 /// starts.
 const PROMISING: f64 = 0.5;
-/// Minimum share of confirmed pixels among those that can be compared with the model.
+/// Minimum share of confirmed pixels among the pixels that can be compared with the model.
 const CONFIRMED: f64 = 0.8;
 
 fn estimator(options: &ExploreOptions, estimates: EstimateOptions) -> Result<Estimator> {

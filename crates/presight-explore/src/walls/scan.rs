@@ -3,6 +3,9 @@
 use crate::observe::View;
 use glam::DVec2;
 
+/// Maximum distance of a wall's points from its line, metres. A point twice as far behind the wall is a pass.
+pub(super) const NEAR: f64 = 0.06;
+
 /// A planar scan at a known pose, seen from above.
 #[derive(Clone, Debug)]
 pub(crate) struct Scan {

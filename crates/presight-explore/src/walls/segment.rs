@@ -1,18 +1,14 @@
 //! Segments of scans, split at bends and merged over all scans.
 
-use super::scan::{Scan, Wall};
+use super::scan::{NEAR, Scan, Wall};
 use glam::{DMat2, DVec2};
 
-/// Maximum distance of a segment's points from its chord, metres.
-const BEND: f64 = 0.06;
 /// Minimum length of a segment, metres.
 const SHORT: f64 = 0.25;
 /// Minimum number of steps between the points of a segment.
 const POINTS: usize = 4;
 /// Range beyond which points are too far apart, metres.
 const FAR: f64 = 25.0;
-/// Maximum distance of a wall's segments from its line, metres.
-const OFF: f64 = 0.06;
 /// Maximum gap between segments of one wall, metres.
 const GAP: f64 = 0.2;
 /// Minimum cosine between the normals of segments of one wall: 4 degrees.
@@ -84,7 +80,7 @@ fn belongs(wall: &Line, other: &Line) -> bool {
     let off = other.ends().map(|p| p - wall.middle);
     let along = off.map(|p| p.dot(wall.direction));
     wall.normal.dot(other.normal) > PARALLEL
-        && off.iter().all(|p| p.dot(wall.normal).abs() < OFF)
+        && off.iter().all(|p| p.dot(wall.normal).abs() < NEAR)
         && along[0].max(along[1]) > wall.from - GAP
         && along[0].min(along[1]) < wall.to + GAP
 }
@@ -126,7 +122,7 @@ fn split(scan: &Scan, start: usize, end: usize, found: &mut Vec<Segment>) {
         let normal = chord.perp().normalize();
         let off = |k: usize| (scan.point(k) - scan.point(a)).dot(normal).abs();
         let worst = (a..=b).max_by(|i, j| off(*i).total_cmp(&off(*j))).unwrap_or(a);
-        if off(worst) > BEND {
+        if off(worst) > NEAR {
             parts.extend([(worst, b), (a, worst)]);
             continue;
         }

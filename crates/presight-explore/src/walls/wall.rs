@@ -1,7 +1,7 @@
 //! Walls from scans: segments are trimmed by hits and passes, fitted to the rays that end on them, selected by the rays
 //! that they explain, and joined at their ends.
 
-use super::scan::{Ray, Scan, Wall};
+use super::scan::{NEAR, Ray, Scan, Wall};
 use super::segment;
 use crate::observe::{View, Views};
 use presight_model::error::{Error, Result};
@@ -10,18 +10,14 @@ use std::collections::BinaryHeap;
 
 /// Length of a cell along a wall, metres.
 const CELL: f64 = 0.05;
-/// Maximum distance from the wall of the end of a hit, for trimming, metres.
-const HIT: f64 = 0.06;
-/// Minimum distance behind the wall of the end of a pass, for trimming, metres.
-const PASS: f64 = 0.12;
 /// The distances of hits and passes for the selection, metres.
 const CHOICE: [f64; 2] = [0.04, 0.1];
 /// Minimum difference between the explained and the blocked rays of a wall.
 const MIN_GAIN: i64 = 4;
 /// Distance at which the weight of a ray in a fit is halved, metres.
 const SPREAD: f64 = 0.02;
-/// Maximum distance between ends that are joined, metres.
-const MEET: f64 = 0.12;
+/// Maximum distance between ends that are joined, metres: both walls are uncertain by [`NEAR`].
+const MEET: f64 = 2.0 * NEAR;
 /// Minimum sine between walls that are joined: 17 degrees.
 const MIN_SINE: f64 = 0.3;
 /// Maximum number of walls in one task, which bounds the memory.
@@ -63,8 +59,8 @@ fn trimmed(walls: Vec<Wall>, rays: &[Ray]) -> Vec<Wall> {
         for ray in rays {
             let Some((distance, share)) = wall.intersection(ray) else { continue };
             let cell = ((share * count as f64) as usize).min(count - 1);
-            hits[cell] += u32::from((ray.range - distance).abs() < HIT);
-            passes[cell] += u32::from(ray.range - distance > PASS);
+            hits[cell] += u32::from((ray.range - distance).abs() < NEAR);
+            passes[cell] += u32::from(ray.range - distance > 2.0 * NEAR);
         }
         let sum = |of: &[u32], k: usize| of[k.saturating_sub(1)..(k + 2).min(count)].iter().sum::<u32>();
         let is_wall: Vec<bool> = (0..count).map(|k| sum(&hits, k) > sum(&passes, k)).collect();
@@ -117,8 +113,8 @@ fn fitted(mut walls: Vec<Wall>, rays: &[Ray]) -> Vec<Wall> {
     walls
 }
 
-/// Greedy selection of at most `max` walls by the number of rays that only the next wall explains, minus those that
-/// only it blocks.
+/// Greedy selection of at most `max` walls. The gain of a wall is the number of rays that it explains and no selected
+/// wall does, minus the number of rays that it blocks and no selected wall does.
 fn selected(walls: Vec<Wall>, rays: &[Ray], max: usize) -> Vec<Wall> {
     let of = |wall: &Wall| {
         let (mut hits, mut blocked) = (Vec::new(), Vec::new());

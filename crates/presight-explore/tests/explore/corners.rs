@@ -76,10 +76,10 @@ fn gap(found: &Environment, jamb: f64) -> f64 {
     let eye = DVec3::new(0.3, 0.2, 0.1);
     let oracle = Oracle::new(found, eye).unwrap();
     let is_closed = |p: DVec3| oracle.hides(eye, (p - eye).normalize(), p.distance(eye) + 0.03, &[]);
-    let open = |at: DVec3, way: DVec3| {
-        (0..80).map(|k| 1e-3 * f64::from(k) + 2e-4).find(|off| is_closed(at + way * *off)).unwrap_or(0.08)
+    let open = |at: DVec3, along: DVec3| {
+        (0..80).map(|k| 1e-3 * f64::from(k) + 2e-4).find(|off| is_closed(at + along * *off)).unwrap_or(0.08)
     };
-    lines(jamb).iter().map(|(at, ways)| ways.map(|way| open(*at, way)).iter().sum()).fold(0.0, f64::max)
+    lines(jamb).iter().map(|(at, directions)| directions.map(|along| open(*at, along)).iter().sum()).fold(0.0, f64::max)
 }
 
 /// Distance by which surfaces extend out of the room, metres.

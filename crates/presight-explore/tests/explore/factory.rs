@@ -32,8 +32,8 @@ fn off(real: &Environment, model: &Environment, frames: &[Placed], built: &[Plac
             let most = near.iter().copied().fold(0.0, f32::max);
             let is_edge = shown > least - 0.05 && shown < most + 0.05;
             let (column, row) = pixel(i);
-            let way = pose.rotation * (sensor.body_from_image() * sensor.ray(column, row).unwrap());
-            off += usize::from(!is_edge && sights(built, pose.translation + way * f64::from(*range), 0.03) >= 3);
+            let direction = pose.rotation * (sensor.body_from_image() * sensor.ray(column, row).unwrap());
+            off += usize::from(!is_edge && sights(built, pose.translation + direction * f64::from(*range), 0.03) >= 3);
         }
     }
     off as f64 / f64::from(all)

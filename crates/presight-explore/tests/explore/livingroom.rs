@@ -88,7 +88,7 @@ fn frames_without_poses_are_found_on_the_way() {
         let turned = end.world_from_robot.rotation.angle_between(pose.rotation).to_degrees();
         (end.world_from_robot.translation.distance(pose.translation), turned)
     };
-    let ((metres, degrees), (squares, axes)) = (off(&truth), nees(&end, &truth));
+    let ((metres, degrees), (squares, axes)) = (off(&truth), nees(&end, &RobotPose::new(truth)));
     println!("end off by {metres:.4} m, {degrees:.3} deg, NEES {squares:.1}; off the log by {:.4?}", off(&logged));
     assert!(follower.apart().is_empty(), "{:?}", follower.apart());
     assert!(metres < 0.03 && degrees < 0.5, "{metres} m, {degrees} deg");

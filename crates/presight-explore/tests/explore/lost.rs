@@ -107,7 +107,7 @@ fn the_pose_after_a_join_is_off_by_what_is_stated() {
         for (frame, truth) in frames(&room(), &yaws, 0.0, seed) {
             let found = follower.add(&frame).unwrap();
             if let Some(found) = found {
-                let own = nees(&found.pose, &truth).0;
+                let own = nees(&found.pose, &RobotPose::new(truth)).0;
                 let (off, stated) =
                     (motion_between(&truth, &found.pose.world_from_robot), found.pose.covariance.sigmas());
                 println!("{seed} {}: off {off:.5?}, stated {stated:.5?}, NEES {own:.1}", frame.stamp);

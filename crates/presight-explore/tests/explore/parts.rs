@@ -28,7 +28,7 @@ fn parts(real: &Environment) -> HashMap<u32, usize> {
 /// A ray of the drive: where it starts, its direction, where it ends and the cosine of incidence.
 struct Ray {
     from: DVec3,
-    way: DVec3,
+    direction: DVec3,
     range: f64,
     cosine: f64,
 }
@@ -46,14 +46,15 @@ pub(crate) fn shares(real: &Environment, model: &Environment, frames: &[Placed],
         let sensor = frame.sensor();
         for pixel in (0..frame.ranges().len() as u32).step_by(8) {
             let Some(ray) = sensor.ray(pixel % sensor.width(), pixel / sensor.width()) else { continue };
-            let (from, way) = (pose.translation, pose.rotation * (sensor.body_from_image() * ray));
-            if let Some((range, cosine, slot)) = truth.met(from, way).filter(|(range, ..)| *range < RESOLVED) {
-                seen.entry(of[&slot]).or_default().push(Ray { from, way, range, cosine });
+            let (from, direction) = (pose.translation, pose.rotation * (sensor.body_from_image() * ray));
+            if let Some((range, cosine, slot)) = truth.met(from, direction).filter(|(range, ..)| *range < RESOLVED) {
+                seen.entry(of[&slot]).or_default().push(Ray { from, direction, range, cosine });
             }
         }
     }
-    let size = |rays: &[Ray]| 2.0 * Aabb::of(rays.iter().map(|r| r.from + r.way * r.range)).half_extent().max_element();
-    let is_right = |r: &&Ray| (found.distance(r.from, r.way) - r.range).abs() * r.cosine < near;
+    let size =
+        |rays: &[Ray]| 2.0 * Aabb::of(rays.iter().map(|r| r.from + r.direction * r.range)).half_extent().max_element();
+    let is_right = |r: &&Ray| (found.distance(r.from, r.direction) - r.range).abs() * r.cosine < near;
     let share = |rays: &Vec<Ray>| rays.iter().filter(is_right).count() as f64 / rays.len() as f64;
     seen.values().filter(|rays| size(rays) > 0.3).map(share).collect()
 }

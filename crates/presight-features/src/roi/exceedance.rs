@@ -10,10 +10,10 @@ use super::{SIDES, Side};
 use presight_model::statistics::{Tails, apart, tail_quantile};
 
 /// Maximum number of points considered for a side.
-pub const MAX_POINTS: usize = 3;
+pub const MAX_SIDE_POINTS: usize = 3;
 
 /// Maximum number of events.
-pub const EVENTS: usize = 4 * MAX_POINTS;
+pub const EVENTS: usize = 4 * MAX_SIDE_POINTS;
 
 /// Thresholds for one confidence, shared by all features.
 #[derive(Clone, Copy)]
@@ -142,7 +142,7 @@ impl Exceedance {
             }
             let first = self.events.len();
             self.take_event(Event { seen: maker, side, deviations: k, rate: 1.0, tail: level.tail, direction: 0 });
-            while self.events.len() < first + MAX_POINTS
+            while self.events.len() < first + MAX_SIDE_POINTS
                 && let Some(nearest) =
                     (0..self.near.len()).reduce(|a, b| if self.near[b] < self.near[a] { b } else { a })
             {

@@ -79,7 +79,7 @@ pub use exceedance::Level;
 pub use image_point::differences;
 
 // Constants that the shader shares.
-pub use exceedance::{EVENTS, MAX_POINTS};
+pub use exceedance::{EVENTS, MAX_SIDE_POINTS};
 pub use {
     errors::{ERRORS, KIND},
     image_point::MARGIN,

@@ -11,6 +11,12 @@ use presight_model::index::{QueryResult, Region};
 /// in them; finding the rest by tiles is faster than searching more blocks.
 pub(super) const BLOCKS_APART: f64 = 24.0;
 
+/// A polygon that hides two places by more than this, after rounding, hides all places between them.
+pub(super) const CLEARLY: f64 = 1e-12;
+
+/// Stands for the number of a polygon where no polygon hides.
+pub(super) const NONE: u32 = u32::MAX;
+
 /// Number of recent ids to remember while pixels are searched.
 const LATEST: usize = 4;
 

@@ -4,23 +4,18 @@
 //! tested value is linear in the ray, or a monotonic quotient of two linear values. So the two ends decide all of it.
 
 use super::VisibilityContext;
-use super::candidates::BLOCKS_APART;
+use super::candidates::{BLOCKS_APART, CLEARLY, NONE};
 use super::polygon::{PreparedPolygon, RelativeDepth, within_edges};
 use super::rays;
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
-use super::tiles::Look;
+use super::tiles::{FEW_FOR_TILES, Look};
 use super::undecided::UndecidedSample;
 use super::windows::Windows;
 use crate::sample::{Column, PatchColumns, PatchOutline};
 use crate::{FeatureStats, Reason};
 use glam::DVec3;
 use std::ops::Range;
-
-/// A polygon that hides two places by more than this, after rounding, hides all places between them.
-const CLEARLY: f64 = 1e-12;
-
-const NONE: u32 = u32::MAX;
 
 /// The samples of a patch, and their occluders.
 struct Grid {
@@ -172,7 +167,6 @@ impl Grid {
 
     /// Marks the samples hidden by polygons that the index finds; `None` if more care is needed.
     fn hide_by_tiles(&mut self, query: &FeatureQuery<'_>, workspace: &mut Workspace) -> Option<()> {
-        const VERY_FEW: usize = 9;
         let FeatureQuery { frame, own, .. } = query;
         let pieces = self.pieces(workspace);
         let count: usize = pieces.iter().map(|piece| piece.rows.len()).sum();
@@ -184,7 +178,7 @@ impl Grid {
                 places.extend([piece.rows.start, piece.rows.end - 1].map(|row| self.samples.at(column, row)));
             }
             let farthest = places.iter().map(|at| at.length()).fold(0.0, f64::max);
-            if count < VERY_FEW && !workspace.tiles.knows(some[0].tile, farthest) {
+            if count < FEW_FOR_TILES && !workspace.tiles.knows(some[0].tile, farthest) {
                 some.iter().for_each(|piece| self.hide_by_rays(piece, query, workspace));
                 continue;
             }

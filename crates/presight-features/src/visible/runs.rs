@@ -5,7 +5,7 @@
 //! of the runs it contains.
 
 use super::VisibilityContext;
-use super::candidates::BLOCKS_APART;
+use super::candidates::{BLOCKS_APART, CLEARLY, NONE};
 use super::polygon::{PreparedPolygon, RelativeDepth, within_edges};
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
@@ -18,11 +18,6 @@ use std::ops::Range;
 
 /// Maximum number of extra blocks of pixels that are searched in the gaps between the regular ones.
 const MAX_LOOKS: usize = 8;
-
-/// A polygon that hides two places by more than this, after rounding, hides all places between them.
-const CLEARLY: f64 = 1e-12;
-
-const NONE: u32 = u32::MAX;
 
 /// The parts of a segment, and the occluders of its samples. Its memory belongs to one worker.
 #[derive(Default)]

@@ -2,7 +2,7 @@
 
 use super::strategy::{Decision, FeatureQuery, Workspace};
 use super::tally::{SampleState, Tally};
-use super::tiles::Look;
+use super::tiles::{FEW_FOR_TILES, Look};
 use super::undecided::{Line, UndecidedSample, hide_along};
 use super::windows::Windows;
 use super::{Visibility, rays};
@@ -213,7 +213,6 @@ fn space_along(line: Line, left: &mut [UndecidedSample], query: &FeatureQuery<'_
 
 /// Tests the polygons that the index finds against the samples of a point or patch; by tiles unless they are few.
 pub(super) fn space_at_samples(left: &mut [UndecidedSample], query: &FeatureQuery<'_>, workspace: &mut Workspace) {
-    const VERY_FEW: usize = 9;
     let FeatureQuery { frame, own, .. } = query;
     let open = |i: &usize| left[*i].by.is_none();
     let mut by_tile: Vec<(u32, usize)> =
@@ -224,7 +223,7 @@ pub(super) fn space_at_samples(left: &mut [UndecidedSample], query: &FeatureQuer
         places.clear();
         places.extend(some.iter().map(|(_, i)| left[*i].at));
         let farthest = some.iter().map(|(_, i)| left[*i].range).fold(0.0, f64::max);
-        if by_tile.len() < VERY_FEW && !workspace.tiles.knows(some[0].0, farthest) {
+        if by_tile.len() < FEW_FOR_TILES && !workspace.tiles.knows(some[0].0, farthest) {
             some.iter().for_each(|(_, i)| rays::hide(&mut left[*i], query, workspace));
             continue;
         }

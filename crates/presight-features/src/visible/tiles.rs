@@ -159,6 +159,9 @@ impl Square {
     }
 }
 
+/// A feature with fewer samples or pieces does not query a new tile: a ray for each is faster.
+pub(super) const FEW_FOR_TILES: usize = 9;
+
 /// Polygons of a tile, the nearest first, with their cells: comparing cells excludes many of them in one step.
 #[derive(Default)]
 struct TilePolygons {

@@ -136,12 +136,12 @@ impl Headings {
     }
 }
 
-/// The least multiple of `count`, but no more than `most`, of columns round the turn such that none of some beams, by
-/// their angles from the first in degrees, is far from a column.
+/// The smallest number of columns of a turn for which every beam is near a column: a multiple of `count`, at most
+/// `most`. `offs` are the angles of the beams from the first one, degrees.
 fn columns_for(offs: &[f64], count: u32, most: u32) -> u32 {
     let gaps = offs.array_windows().map(|[a, b]| b - a);
     let mean = offs.last().copied().unwrap_or(0.0) / offs.len() as f64;
-    // Few beams closer than others are not worth finer columns for all.
+    // A few close beams do not justify finer columns for all.
     let step = gaps.fold(f64::INFINITY, f64::min).max(0.5 * mean).min(360.0);
     let farthest = |columns: u32| {
         let place = |off: &f64| off * f64::from(columns) / 360.0;

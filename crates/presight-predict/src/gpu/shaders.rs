@@ -251,7 +251,7 @@ mod tests {
         for (name, ours) in [
             ("KIND", presight_features::roi::KIND),
             ("POINTS", roi::MAX_POINTS),
-            ("MAX_POINTS", presight_features::roi::MAX_POINTS),
+            ("MAX_SIDE_POINTS", presight_features::roi::MAX_SIDE_POINTS),
             ("EVENTS", presight_features::roi::EVENTS),
             ("TAIL_CELLS", presight_model::statistics::TAIL_CELLS),
             ("TAIL_COLUMNS", presight_model::statistics::TAIL_COLUMNS),

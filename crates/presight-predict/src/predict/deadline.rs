@@ -1,5 +1,4 @@
-//! The parts that a prediction with a deadline gave up, the costs of predictions, and which of the fast ways are in
-//! time.
+//! Predictions with a deadline: the parts that were given up, the costs, and the ways that finish in time.
 
 use super::{Prediction, Predictor};
 use crate::request::Request;

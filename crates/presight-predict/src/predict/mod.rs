@@ -88,9 +88,9 @@ impl Options {
         Self { reuse_visible, ..self }
     }
 
-    /// Sets how the CPU engine finds what rays see, for benches and tests. [`Way::Auto`] learns from the times of a
-    /// sensor's frames which way is faster; [`Way::Counts`] does not, so that it does the same in every run. It has no
-    /// effect on a GPU. With a deadline tiles are taken only if they are surely in time.
+    /// Sets the CPU engine's strategy of finding what rays see, for benches and tests. [`Way::Auto`] learns the faster
+    /// strategy from the times of a sensor's frames. [`Way::Counts`] decides by counts alone, equally in every run. A
+    /// GPU ignores it. With a deadline, tiles are used only if they are certain to finish in time.
     #[must_use]
     pub fn with_way(self, way: Way) -> Self {
         Self { way, ..self }
@@ -153,7 +153,7 @@ pub struct Predictor {
     tree: Option<Arc<features::KnownTree>>,
     /// The deadline controller.
     controller: Controller,
-    /// Which way is faster for which sensor.
+    /// Learnt costs of the strategies, by sensor.
     ways: WayCosts,
     /// The last event that affected the GPU.
     notice: Option<String>,
@@ -413,7 +413,7 @@ impl Predictor {
             self.ways.learn(&plan, &stats, start.elapsed());
         }
         plan.record_way(stats.way);
-        tell(&plan, self.notice.as_ref(), &mut stats);
+        add_notes(&plan, self.notice.as_ref(), &mut stats);
         self.buffers = plan.into_buffers();
         rendered?;
         if let Some(timed) = &mut timed {
@@ -427,14 +427,14 @@ impl Predictor {
         matches!(self.way, Way::Auto | Way::Counts)
     }
 
-    /// The way of a prediction; engines that select everything have one only.
+    /// The way of a prediction; engines that select all polygons have a single one.
     pub(crate) fn choose_way(&self, world: &World, sensor: &Sensor) -> ChosenWay {
         if self.engine.has_tiles() { self.way.choose(world, sensor) } else { ChosenWay::RASTER }
     }
 
-    /// Makes the trees that the CPU engine searches for sensors of few rays, in all of a world, rather than when
-    /// predictions have been made for a while: about 0.6 us a triangle and thread. Trees are kept with their meshes,
-    /// whatever else changes in the world.
+    /// Makes the trees of a whole world that the CPU engine searches for sensors of few rays; otherwise they are made
+    /// after several predictions. It takes about 0.6 us a triangle and thread. A tree stays with its mesh when other
+    /// parts of the world change.
     ///
     /// ```
     /// use presight::{Options, Predictor, World, environment::Environment};
@@ -472,7 +472,7 @@ impl Predictor {
         if first.is_none_or(|plan| self.prove_for(plan).is_ok()) {
             // A fault occurs again with the first remaining plan, which handles it.
             let _ = self.engine.render_many(plans, weighing, images, &mut |drawn, mut stats| {
-                tell(&plans[done], self.notice.as_ref(), &mut stats);
+                add_notes(&plans[done], self.notice.as_ref(), &mut stats);
                 done += 1;
                 each(drawn, stats);
             });
@@ -480,7 +480,7 @@ impl Predictor {
         for plan in &plans[done..] {
             let mut stats = Stats::default();
             self.render(plan, images, &mut stats)?;
-            tell(plan, self.notice.as_ref(), &mut stats);
+            add_notes(plan, self.notice.as_ref(), &mut stats);
             each(Drawn::Images(images), stats);
         }
         Ok(())
@@ -504,7 +504,7 @@ impl Predictor {
 }
 
 /// Adds the plan's and the predictor's notes to an engine's statistics.
-fn tell(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
+fn add_notes(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
     let by_engine = std::mem::replace(&mut stats.left_out, plan.left_out());
     stats.left_out.extend(by_engine);
     plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, why));

@@ -1,6 +1,6 @@
 //! Free floor: visible floor, on which the robot may drive.
 //!
-//! Floor is a polygon that is horizontal within [`FLOOR_TILT`], is seen from above, and lies within [`FLOOR_HEIGHT`] of
+//! Floor is a polygon that is horizontal within [`TILT`], is seen from above, and lies within [`FLOOR_HEIGHT`] of
 //! the floor's height. That height defaults to the height of the robot's origin. Real models mix windings, so the
 //! visible side counts, not the winding.
 //!
@@ -9,15 +9,13 @@
 //! floor plane within the sensor's range. Pixels that reach over the horizon are counted separately.
 
 use super::mask::{Mask, MaskRegion};
-use super::pixels::{Pixels, VisiblePlane};
+use super::pixels::{Pixels, TILT, VisiblePlane};
 use super::{Settings, View};
 use glam::DVec3;
 use presight_model::error::Result;
 use presight_model::sensor::Geometry;
 use serde::Serialize;
 
-/// Maximum tilt of floor, radians (2 degrees).
-pub const FLOOR_TILT: f64 = 2.0 * std::f64::consts::PI / 180.0;
 /// Maximum distance of floor above or below its stated height, metres.
 pub const FLOOR_HEIGHT: f64 = 0.05;
 
@@ -79,7 +77,7 @@ impl Floor {
         let [low, high] = surface.heights;
         let level = low >= self.height - FLOOR_HEIGHT && high <= self.height + FLOOR_HEIGHT;
         // Normals point to the sensor's side, so an upward normal means that the surface is seen from above.
-        level && surface.normal.dot(self.up) >= FLOOR_TILT.cos()
+        level && surface.normal.dot(self.up) >= TILT.cos()
     }
 
     /// Intersection of a ray with the plane, within range.

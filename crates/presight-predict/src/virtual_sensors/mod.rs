@@ -8,7 +8,7 @@
 //! | `radar-nearest` | `radar` | [`Nearest`]: nearest obstacle by direction and in a corridor | closest obstacle |
 //! | `radar-landmarks` | `radar` | [`Landmarks`]: positions of visible artificial landmarks | surveying: landmarks |
 //! | `depth-image` | `laser` | [`DepthImage`]: a point for every pixel | 3D-depth image |
-//! | `vertical-planes` | `laser` | [`VerticalPlanes`]: connected regions of vertical planes | localization: vertical planes |
+//! | `vertical-planes` | `laser` | [`VerticalPlanes`]: connected regions of vertical planes | localization: planes |
 //! | `docking` | `laser` | [`Docking`]: visible landmarks, and how well they fix the pose | docking: landmarks |
 //!
 //! Each virtual sensor states its request ([`VirtualSensor::class`], [`VirtualSensor::outputs`], and the feature filter
@@ -34,12 +34,13 @@ pub use corridor::{Corridor, CorridorFrame};
 pub use depth_image::DepthImage;
 pub use docking::{Docking, Unobservable};
 pub use edges::{Edge, EdgePiece, Edges};
-pub use free_floor::{FLOOR_HEIGHT, FLOOR_TILT, FloorRegion, FreeFloor};
+pub use free_floor::{FLOOR_HEIGHT, FloorRegion, FreeFloor};
 pub use landmarks::{Landmark, Landmarks};
 pub use mask::{Mask, MaskRegion};
-pub use radar_lines::{COLLINEAR, RadarLine, RadarLines};
+pub use pixels::{COPLANAR, TILT};
+pub use radar_lines::{RadarLine, RadarLines};
 pub use radar_nearest::{Directions, InCorridor, Nearest, NearestPoint};
-pub use vertical_planes::{COPLANAR, VERTICAL, VerticalPlane, VerticalPlanes};
+pub use vertical_planes::{VerticalPlane, VerticalPlanes};
 pub use view::{View, ViewIds};
 
 use presight_model::environment::FeatureShape;
@@ -186,7 +187,8 @@ impl VirtualSensor {
     /// Computes its reading from a view. This is a pure function.
     ///
     /// ```
-    /// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
+    /// use presight::virtual_sensors::{Settings, View, VirtualSensor};
+    /// use presight_predict::virtual_sensors::Answer;
     /// use presight::environment::Environment;
     /// use presight::{Options, Pose, Predictor, Request, SensorPose, World};
     /// use glam::DVec3;

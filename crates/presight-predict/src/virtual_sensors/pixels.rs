@@ -9,8 +9,12 @@ use presight_model::sensor::Sensor;
 use presight_render::plan::{Output, PolygonsOfIds};
 use std::collections::HashMap;
 
-/// Cosine of the largest angle between normals of one plane: half a degree.
+/// Cosine of the maximum angle between normals of one plane: half a degree.
 pub const PARALLEL: f64 = 0.999_961_923_064_171_3;
+/// Maximum distance between two surfaces of one plane, or between two pieces of one line, metres.
+pub const COPLANAR: f64 = 1e-3;
+/// Maximum tilt of a floor from horizontal, and of a wall from vertical, radians (2 degrees).
+pub const TILT: f64 = 2.0 * std::f64::consts::PI / 180.0;
 
 /// The plane of a visible polygon.
 #[derive(Clone, Copy, Debug, PartialEq)]

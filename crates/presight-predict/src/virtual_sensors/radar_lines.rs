@@ -1,19 +1,15 @@
 //! Radar lines: the intersections of surfaces with the scan plane, as line segments.
 //!
 //! Neighbouring beams that hit the same polygon form one straight line. Polygons whose lines continue each other within
-//! [`COLLINEAR`] also form one line. A segment ends at the hits of its first and last beam, so it may be up to one beam
+//! [`COPLANAR`] also form one line. A segment ends at the hits of its first and last beam, so it may be up to one beam
 //! shorter than the surface. A single beam forms no segment and is only counted.
 
-use super::pixels::{PARALLEL, Pixels, VisiblePlane};
+use super::pixels::{COPLANAR, PARALLEL, Pixels, VisiblePlane};
 use super::{View, scan_row};
 use glam::DVec3;
 use presight_model::error::Result;
 use presight_model::sensor::Geometry;
 use serde::Serialize;
-
-/// Maximum distance of one line's ends from another line for both to be merged, metres. Their normals must also differ
-/// by less than half a degree.
-pub const COLLINEAR: f64 = 1e-3;
 
 /// Line segments in the scan plane.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -68,8 +64,8 @@ impl Run {
     fn goes_on(&self, next: &Run) -> bool {
         let off = |of: &Run, p: DVec3| (p - of.ends[0]).dot(of.normal).abs();
         self.normal.dot(next.normal) >= PARALLEL
-            && next.ends.into_iter().all(|p| off(self, p) <= COLLINEAR)
-            && self.ends.into_iter().all(|p| off(next, p) <= COLLINEAR)
+            && next.ends.into_iter().all(|p| off(self, p) <= COPLANAR)
+            && self.ends.into_iter().all(|p| off(next, p) <= COPLANAR)
     }
 
     fn take(&mut self, next: Run) {

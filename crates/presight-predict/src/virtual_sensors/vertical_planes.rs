@@ -1,19 +1,13 @@
 //! Vertical planes: connected image regions that each show one vertical plane.
 //!
-//! A surface is vertical if its normal is within [`VERTICAL`] of horizontal. Pixels that share a side, also across the
+//! A surface is vertical if its normal is within [`TILT`] of horizontal. Pixels that share a side, also across the
 //! seam of a full circle, belong together if they show the same polygon or polygons in one plane within [`COPLANAR`].
 
 use super::View;
-use super::pixels::{PARALLEL, Pixels, VisiblePlane};
+use super::pixels::{COPLANAR, PARALLEL, Pixels, TILT, VisiblePlane};
 use glam::DVec3;
 use presight_model::error::Result;
 use serde::Serialize;
-
-/// Maximum angle between a vertical plane's normal and the horizontal, radians (2 degrees).
-pub const VERTICAL: f64 = 2.0 * std::f64::consts::PI / 180.0;
-/// Maximum distance between the visible part of one surface and the plane of another for both to be merged, metres.
-/// Their normals must also differ by less than half a degree.
-pub const COPLANAR: f64 = 1e-3;
 
 /// The visible vertical planes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -71,7 +65,7 @@ pub(super) fn reduce(view: &View<'_>) -> Result<VerticalPlanes> {
     let mut image = Pixels::with_ids(view)?;
     let (width, height) = (image.sensor.width(), image.sensor.height());
     let distinct = image.sensor.distinct_columns();
-    let least = VERTICAL.sin();
+    let least = TILT.sin();
     let up = image.up;
     let mut pixels: Vec<Option<VisiblePlane>> = Vec::with_capacity(image.count());
     for row in 0..height {

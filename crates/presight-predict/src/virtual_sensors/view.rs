@@ -10,7 +10,8 @@ use presight_render::plan::IdScheme;
 /// A predicted or measured view of a sensor at a pose.
 ///
 /// ```
-/// use presight::virtual_sensors::{Answer, Settings, View, VirtualSensor};
+/// use presight::virtual_sensors::{Settings, View, VirtualSensor};
+/// use presight_predict::virtual_sensors::Answer;
 /// use presight::SensorPose;
 /// // A measured scan: everything is 3 m away except at one beam.
 /// let radar = presight::preset("microwave-radar-scan")?;

@@ -68,11 +68,11 @@ impl Records {
             return Err(Error::invalid("its points have no x, y and z", "name the coordinates x, y and z"));
         };
         // In text, a number takes at least two bytes.
-        let least = match self.encoding {
+        let min_bytes = match self.encoding {
             Encoding::Text => 2 * self.numbers.len(),
             _ => self.numbers.iter().map(|(_, n)| n.bytes()).sum(),
         };
-        if (self.count as u64).saturating_mul(least as u64) > body.len() as u64 + 1 {
+        if (self.count as u64).saturating_mul(min_bytes as u64) > body.len() as u64 + 1 {
             let what = format!("{} bytes follow its header, too few for {} points", body.len(), self.count);
             return Err(Error::invalid(what, "the file is truncated: write it again"));
         }

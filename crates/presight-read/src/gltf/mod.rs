@@ -99,10 +99,10 @@ pub fn import(path: impl AsRef<Path>, options: &ImportOptions) -> Result<Importe
 ///
 /// ```
 /// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();
-/// use presight::files::{ImportOptions, import_gltf, import_gltf_bytes};
+/// use presight_read::gltf::{ImportOptions, import, import_bytes};
 /// let bytes = std::fs::read("scenes/room.glb")?;
-/// let scene = import_gltf_bytes("room.glb", &bytes, &ImportOptions::default())?;
-/// assert_eq!(scene.report, import_gltf("scenes/room.glb", &ImportOptions::default())?.report);
+/// let scene = import_bytes("room.glb", &bytes, &ImportOptions::default())?;
+/// assert_eq!(scene.report, import("scenes/room.glb", &ImportOptions::default())?.report);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///

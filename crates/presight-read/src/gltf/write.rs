@@ -32,12 +32,12 @@ const UNSIGNED_INT: u32 = 5125;
 ///
 /// ```
 /// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();
-/// use presight::files::{import_gltf, write_glb};
-/// let scene = import_gltf("scenes/room.glb", &Default::default())?.environment;
+/// use presight_read::gltf::{import, write_glb};
+/// let scene = import("scenes/room.glb", &Default::default())?.environment;
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("again.glb");
 /// write_glb(&path, &scene)?;
-/// assert_eq!(import_gltf(&path, &Default::default())?.environment.content_hash(), scene.content_hash());
+/// assert_eq!(import(&path, &Default::default())?.environment.content_hash(), scene.content_hash());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///

@@ -151,18 +151,18 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
         }
         None => {
             let beams = file.beams.ok_or_else(|| missing("beams"))?;
-            let least = file.angle_min.ok_or_else(|| missing("angle_min"))?;
-            let greatest = file.angle_max.ok_or_else(|| missing("angle_max"))?;
+            let min_angle = file.angle_min.ok_or_else(|| missing("angle_min"))?;
+            let max_angle = file.angle_max.ok_or_else(|| missing("angle_max"))?;
             // A turn as drivers round it, such as 6.28318977.
-            let step = (greatest - least).abs() / f64::from(beams.saturating_sub(1).max(1));
-            if least.abs().max(greatest.abs()) > std::f64::consts::TAU + SAME_ANGLE * step {
-                let what = format!("angle_min {least} and angle_max {greatest} are more than a turn");
+            let step = (max_angle - min_angle).abs() / f64::from(beams.saturating_sub(1).max(1));
+            if min_angle.abs().max(max_angle.abs()) > std::f64::consts::TAU + SAME_ANGLE * step {
+                let what = format!("angle_min {min_angle} and angle_max {max_angle} are more than a turn");
                 return Err(Error::invalid(what, "give radians from -6.2831853 to 6.2831853 (90 degrees are 1.5708)"));
             }
             let on_robot = file.sensor_on_robot.as_ref().ok_or_else(|| missing("sensor_on_robot"))?;
             let place = DVec3::new(on_robot.x, on_robot.y, on_robot.z);
             let range_max = file.range_max.ok_or_else(|| missing("range_max"))?;
-            let azimuth = azimuths(least, greatest, beams, file.counter_clockwise.unwrap_or(true));
+            let azimuth = azimuths(min_angle, max_angle, beams, file.counter_clockwise.unwrap_or(true));
             (azimuth, range_max, Pose::from_xyz_rpy(place, 0.0, 0.0, on_robot.yaw))
         }
     };
@@ -174,10 +174,10 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
 }
 
 /// Angles of the beams: rising if counter-clockwise, otherwise falling.
-fn azimuths(least: f64, greatest: f64, beams: u32, counter_clockwise: bool) -> Angles {
-    let (least, greatest) = (round_degrees(least), round_degrees(greatest));
-    let step = (greatest - least) / f64::from(beams.saturating_sub(1).max(1));
-    let (start_deg, step_deg) = if counter_clockwise { (least, step) } else { (greatest, -step) };
+fn azimuths(min_angle: f64, max_angle: f64, beams: u32, counter_clockwise: bool) -> Angles {
+    let (min_angle, max_angle) = (round_degrees(min_angle), round_degrees(max_angle));
+    let step = (max_angle - min_angle) / f64::from(beams.saturating_sub(1).max(1));
+    let (start_deg, step_deg) = if counter_clockwise { (min_angle, step) } else { (max_angle, -step) };
     Angles::Uniform { start_deg, step_deg, count: beams }
 }
 

@@ -3,8 +3,8 @@
 
 use super::Bands;
 use super::bounds::{Bounds, Footprint, LANES, Lanes, SLACK};
+use super::instance::RayInstance;
 use super::raster_lines::{Buffer, EIGHT};
-use super::setup::RayInstance;
 use crate::plan::{FramePlan, Run};
 use glam::DVec3;
 use presight_model::geometry::Aabb;

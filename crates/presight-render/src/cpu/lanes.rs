@@ -1,7 +1,7 @@
 //! Corners, planes and edges of several polygons of a mesh at the same time: eight for the raster, one for a tile. The
 //! results for a polygon do not depend on the number of lanes.
 
-use super::setup::RayInstance;
+use super::instance::RayInstance;
 use presight_model::environment::{PolygonRecord, Positions};
 use presight_model::limits::MAX_CORNERS;
 

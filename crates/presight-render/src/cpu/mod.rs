@@ -16,6 +16,8 @@
 mod batch;
 mod bounds;
 mod cull;
+mod footprint;
+mod instance;
 mod lanes;
 mod progress;
 mod raster_lines;

@@ -6,12 +6,15 @@
 
 use super::batch::Batch;
 use super::thinning;
-use super::waves::FIRST_WAVE;
 use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep, Opening, PLENTY, Wave};
 use crate::plan::{CountName, FramePlan, Run, StageName, Stats};
 use presight_model::sensor::ImagePart;
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::time::Duration;
+
+/// Minimum and maximum number of polygons of the first wave. Every further wave has as many polygons as all waves
+/// before it together.
+pub(super) const FIRST_WAVE: RangeInclusive<usize> = 256..=4096;
 
 /// Minimum number of polygons in a wave, whatever time is left.
 const MIN_WAVE: usize = *FIRST_WAVE.end() / 4;

@@ -1,6 +1,6 @@
 //! Bounds of polygons in ray tables: the tiles with rays that each polygon may cover.
 
-use super::bounds::{Extent, Footprint, LANES, Lanes, NOTHING, SLACK};
+use super::footprint::{Extent, Footprint, LANES, Lanes, NOTHING, SLACK};
 use glam::DVec3;
 use presight_model::limits;
 use presight_model::sensor::{ConeTree, DirectionMap, ForwardView, RayGrid, TILE_SIDE, TileLookup};

@@ -4,6 +4,7 @@
 
 use super::batch::{Batch, Shade, Winners};
 use super::bounds::LANES;
+use super::instance;
 use super::lanes::PolygonLanes;
 use super::raster_lines::{self, Buffer};
 use super::resolve::{self, Target};
@@ -193,7 +194,7 @@ impl Frame {
         Placed {
             m_from_normal: self.ray_from_image * normal_from_mesh,
             normal_from_mesh,
-            uniform: setup::uniform_scale(&normal_from_mesh).map(f64::recip),
+            uniform: instance::uniform_scale(&normal_from_mesh).map(f64::recip),
             center: object.mesh_from_object.transform_point3(in_object),
         }
     }

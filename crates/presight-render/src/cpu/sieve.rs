@@ -2,19 +2,16 @@
 //! corners all lie between the same two lines, or samples, are rejected. That rejects most small polygons at a fraction
 //! of the cost of bounding each.
 
-use super::bounds::{AZIMUTH_SLACK, LANES, Lanes, SLACK, atan2_approximately};
+use super::bounds::{AZIMUTH_SLACK, atan2_approximately};
+use super::footprint::{LANES, Lanes, Reach, SLACK};
+use super::instance::RayInstance;
 use super::lanes::CLEAR;
-use super::setup::RayInstance;
 use crate::plan::Run;
 use glam::DVec3;
 use presight_model::environment::{MAX_VERTICES, Positions};
 use presight_model::sensor::{FitCell, Geometry, LineGrid, PixelGrid, RayGrid, Sensor, on_side};
 use pulp::Simd;
 use std::f64::consts::TAU;
-
-/// For a vertex the first line and the first sample at or behind it, then the last ones before it, negated, each with a
-/// small margin: the reach of a polygon is the minimum over its corners. Whole numbers below 2^24.
-pub(super) type Reach = [f32; 4];
 
 /// The reach of a polygon that may be anywhere.
 const ANYWHERE: f32 = -1e6;

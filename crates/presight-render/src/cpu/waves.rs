@@ -3,7 +3,7 @@
 use super::batch::{self, Batch, Winners};
 use super::bounds::Bounds;
 use super::cull;
-use super::progress::{self, FrameProgress};
+use super::progress::{self, FIRST_WAVE, FrameProgress};
 use super::raster_lines::{self, Buffer};
 use super::{Bands, raster_rays, resolve, setup, thinning};
 use crate::deadline::Watch;
@@ -11,14 +11,12 @@ use crate::plan::{CountName, FramePlan, Images, Run, StageName, Stats};
 use presight_model::clock::Instant;
 use presight_model::sensor::PixelGrid;
 use rayon::prelude::*;
-use std::ops::{Range, RangeInclusive};
+use std::ops::Range;
 use std::time::Duration;
 
-/// Number of pixels for each polygon of the first wave, and the minimum and maximum number of its polygons. Every
-/// further wave has as many polygons as all waves before it together. Few pixels are soon covered, and another wave
-/// costs a pass over them.
+/// Number of pixels for each polygon of the first wave. Few pixels are soon covered, and another wave costs a pass over
+/// them.
 const PIXELS_PER_POLYGON: usize = 16;
-pub(super) const FIRST_WAVE: RangeInclusive<usize> = 256..=4096;
 
 /// Nanoseconds of a slow core between readings of the clock: for a polygon's setup, and for its drawing in a band
 /// without its samples, which take 1 ns each.

@@ -1,6 +1,7 @@
 //! The frame plan: the work of one prediction. It is made before any engine starts and does not depend on the engine.
 
 mod derived;
+pub(crate) mod facing;
 mod images;
 mod keys;
 mod make;
@@ -14,6 +15,7 @@ mod view;
 mod way;
 mod weighing;
 
+pub use facing::{Facing, facings};
 pub use images::{Images, Samples, SamplesMut};
 pub use keys::{KeySurface, Keys, resolve_keys};
 pub use names::{CountName, Part, StageName};
@@ -29,7 +31,7 @@ pub use weighing::{BeamNumbers, Drawn, Weighing};
 use crate::deadline::Watch;
 use crate::row::RowCut;
 use glam::{DMat3, DVec3};
-use presight_model::environment::{Appearance, Environment, Material};
+use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::index::{ObjectRun, QueryResult, Region};
@@ -91,12 +93,6 @@ impl Instance {
     }
 }
 
-/// Visibility of an environment's materials for a sensor class, by material index.
-pub fn facings<'a>(environment: &'a Environment, class: &'a str) -> impl Iterator<Item = Facing> + 'a {
-    let opaque = move |m: &Material| m.appearance(class) == Appearance::Opaque;
-    environment.materials().iter().map(move |m| Facing { opaque: opaque(m), one_sided: m.one_sided })
-}
-
 /// A contiguous run of an instance's polygons: the unit in which selection passes polygons to the engines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Run {
@@ -119,15 +115,6 @@ impl Run {
 
 /// Reason why engines have nothing to do.
 pub const NOTHING_IN_VIEW: &str = "no polygon is in view";
-
-/// Visibility of a material for the sensor's class.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Facing {
-    /// Opaque to the sensor's class.
-    pub opaque: bool,
-    /// Visible only from the side of its normal.
-    pub one_sided: bool,
-}
 
 /// The work of one prediction.
 #[derive(Clone, Debug)]

@@ -6,7 +6,7 @@
 
 use super::segment::{NO_COPY, Segment, distance};
 use super::tree::{self, Block, Node};
-use crate::plan::{Facing, facings};
+use crate::plan::facing::{Facing, facings};
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
 use presight_model::environment::Object;
 use presight_model::geometry::Aabb;

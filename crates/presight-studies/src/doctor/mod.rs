@@ -136,8 +136,8 @@ fn device(probe: &Probe, text: &mut String, open: impl Fn(bool, Raster) -> Resul
 fn features_of(probe: &Probe, text: &mut String, engine: &mut gpu::GpuEngine) -> bool {
     let mut sound = true;
     for task in SensorKind::ALL {
-        let told = probe.occlusion(task, engine).and_then(|seen| Ok((seen, probe.regions(task, engine)?)));
-        let verdict = match told {
+        let features = probe.occlusion(task, engine).and_then(|seen| Ok((seen, probe.regions(task, engine)?)));
+        let verdict = match features {
             Ok((seen, regions)) => {
                 // No region may be wrong.
                 let right = seen.is_sound() && regions.wrong == 0;
@@ -197,19 +197,19 @@ mod tests {
     #[test]
     fn an_engine_that_draws_wrong_is_named() {
         let probe = Probe::new().unwrap();
-        let told = |spoil: fn(&mut Images) -> Result<()>| {
+        let checked = |spoil: fn(&mut Images) -> Result<()>| {
             let mut text = String::new();
             let engine = EngineKind::Cpu.open(&1.into()).unwrap();
             (check(&probe, &mut text, &mut Faulty(engine, spoil), &SensorKind::ALL), text)
         };
-        let (sound, text) = told(|_| Ok(()));
+        let (sound, text) = checked(|_| Ok(()));
         assert!(sound && text.matches("right: ").count() == 4, "{text}");
-        let (sound, text) = told(|images| {
+        let (sound, text) = checked(|images| {
             images.range.iter_mut().for_each(|r| *r += 0.01);
             Ok(())
         });
         assert!(!sound && text.matches("WRONG: ").count() == 4, "{text}");
-        let (sound, text) = told(|_| Err(Error::invalid("no", "none")));
+        let (sound, text) = checked(|_| Err(Error::invalid("no", "none")));
         assert!(!sound && text.matches("FAILED: no").count() == 4, "{text}");
     }
 }

@@ -4,7 +4,10 @@
 //! Rays are points of the plane z = 1. In each direction from the axis the model is valid as long as the symmetric part
 //! of its Jacobian is positive definite. The images of the last valid points are the outline, the limit of all images.
 
-use super::lens::{FARTHEST, STEP};
+/// Step of the search for the first fold: of the radius, or of the angle from the axis in radians.
+pub(super) const STEP: f64 = 1e-3;
+/// The search ends at this radius, 87 degrees from the axis. Lenses without a fold up to there count as not folding.
+pub(super) const FARTHEST: f64 = 20.0;
 
 /// Accuracy of the outline, relative to the image radius (1 if that is less). The Jacobian is singular across the
 /// outline, so an error of the ray's radius enters only by its square.

@@ -1,6 +1,7 @@
 //! Checks an engine's images against the truth, pixel by pixel, within the product's published bounds.
 
-use super::oracle::{ExactFace, Oracle, PolygonOnRay, Truth};
+use super::oracle::{ExactFace, Oracle};
+use super::truth::{PolygonOnRay, Truth};
 use presight_model::sensor::Sensor;
 use presight_model::threads::parallel_or_here;
 use presight_render::plan::{FramePlan, Images};

@@ -2,19 +2,14 @@
 //! terms the fold comes from [`super::fold`], with fewer digits.
 
 use super::big::{Big, Vector};
-use super::fold::Outline;
-use super::oracle::Truth;
+use super::fold::{FARTHEST, Outline, STEP};
+use super::truth::Truth;
 use glam::DVec3;
 use presight_model::sensor::Distortion;
 
 /// The published tolerance of a ray: [`Distortion::distort`] reproduces the image coordinates to this, relative to the
 /// image radius (1 if that is less).
 pub(super) const TOLERANCE: f64 = 1e-12;
-
-/// Step of the search for the first fold: of the radius, or of the angle from the axis in radians.
-pub(super) const STEP: f64 = 1e-3;
-/// The search ends at this radius, 87 degrees from the axis. Lenses without a fold up to there count as not folding.
-pub(super) const FARTHEST: f64 = 20.0;
 
 /// The axes of the upright image, x, y and z, in the axes of a sensor that is tilted by Ry(tauY) Rx(tauX).
 fn axes_of_sensor([(sx, cx), (sy, cy)]: &[(Big, Big); 2]) -> [Vector; 3] {

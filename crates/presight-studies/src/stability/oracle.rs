@@ -6,6 +6,7 @@
 
 use super::big::{Big, Vector};
 use super::lens::Exact;
+use super::truth::{PolygonOnRay, Truth};
 use glam::DVec3;
 use presight_model::environment::Object;
 use presight_model::sensor::{Angles, Geometry};
@@ -13,28 +14,6 @@ use presight_render::plan::FramePlan;
 use presight_render::reference::{Face, instances};
 use presight_render::verify::FaceBound;
 use presight_render::verify::Precision;
-
-/// The truth at a pixel.
-#[derive(Clone, Debug)]
-pub(super) enum Truth {
-    /// The sensor has no ray here.
-    NoRay,
-    /// Too near to the fold of a lens to decide whether there is a ray.
-    Either,
-    /// The geometry of each polygon along the ray.
-    Ray(Vec<PolygonOnRay>),
-}
-
-/// One polygon along one ray.
-#[derive(Clone, Debug)]
-pub(super) struct PolygonOnRay {
-    /// Angle of the ray inside the plane of each edge, radians; negative outside.
-    pub margins: Vec<f64>,
-    /// One over the range on the polygon's plane.
-    pub inverse_range: f64,
-    /// |cos| of the angle of incidence.
-    pub cos_incidence: f64,
-}
 
 /// An exact polygon relative to the sensor, with the product's error bounds.
 pub(super) struct ExactFace {

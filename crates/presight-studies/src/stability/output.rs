@@ -1,6 +1,7 @@
 //! The study as an HTML page, CSV and JSON.
 
-use super::{Outcome, Row, Study};
+use super::families::Outcome;
+use super::study::{Row, Study};
 use crate::Machine;
 use crate::chart::{Chart, Series, Style};
 use crate::page::{Part, Section, Table, page};

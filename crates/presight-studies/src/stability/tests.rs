@@ -3,7 +3,8 @@
 use super::big::{Big, Vector};
 use super::judge::TruthImage;
 use super::lens::Exact;
-use super::oracle::{Oracle, Truth};
+use super::oracle::Oracle;
+use super::truth::Truth;
 use glam::{DVec3, Vec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::Triangle;
@@ -32,7 +33,7 @@ fn plan(world: &World, geometry: Geometry, pose: &Pose) -> FramePlan {
     FramePlan::new(world, &sensor, pose, ImageRequest { outputs: Outputs::default(), ids: IdScheme::Model }).unwrap()
 }
 
-fn sight(plan: &FramePlan, column: u32, row: u32, polygon: usize) -> super::oracle::PolygonOnRay {
+fn sight(plan: &FramePlan, column: u32, row: u32, polygon: usize) -> super::truth::PolygonOnRay {
     match Oracle::new(plan).look(column, row) {
         Truth::Ray(sights) => sights[polygon].clone(),
         other => panic!("{other:?}"),

@@ -14,7 +14,7 @@
 //! error, with the third quartile of its times against the first quartile of the other's.
 
 use super::features::RESOLUTION;
-use super::{FAULT_SHARE, Row};
+use super::results::{FAULT_SHARE, Row};
 
 /// A path is clearly faster only if it takes less than this fraction of the time.
 const WORTH: f64 = 0.9;
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_less_exact_has_its_price_told() {
+    fn a_less_exact_path_comes_with_its_cost() {
         let default = || path("default", 0.0, Some(0.0), 9.0);
         let text = advice(&[default(), path("half", 0.04, None, 1.0)]);
         assert!(text.contains("If 4.000 % other polygons and silhouette errors of 0.40 pixels"), "{text}");
@@ -349,9 +349,9 @@ mod tests {
         assert_eq!(
             text,
             " For features take cpu, default, which is the default: errors of visible fractions at most 0.0530, \
-             0.00300 on average, in 10 ms, measured on 40 features. cpu, features by rays (--take features by rays) has \
-             errors of visible fractions at most 0.0310, 0.00200 on average, but takes 1343 ms: time grows by more than \
-             the errors fall."
+             0.00300 on average, in 10 ms, measured on 40 features. cpu, features by rays (--take features by rays) \
+             has errors of visible fractions at most 0.0310, 0.00200 on average, but takes 1343 ms: time grows by more \
+             than the errors fall."
         );
         // In 1.2 times the time, it is: the products of error and time are 0.37 and 0.024 against 0.53 and 0.03.
         let text = for_features(&[rays(12.0), default.clone()].concat(), 40);

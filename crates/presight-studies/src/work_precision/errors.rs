@@ -1,6 +1,6 @@
 //! Errors of images.
 
-use super::FAULT_SHARE;
+use super::results::FAULT_SHARE;
 use presight_model::error::Result;
 use presight_render::plan::{FramePlan, Images};
 use presight_render::verify;

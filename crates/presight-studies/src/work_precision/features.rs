@@ -3,10 +3,11 @@
 //! Settings: visibility from images or from a ray to every sample, the sampling step, and the sensor's resolution.
 
 use super::one::{Progress, SceneStudy, Truth};
-use super::paths::{EnginePath, PathName};
+use super::path::{EnginePath, PathName};
+use super::results::{PathNotes, Row};
 use super::timing::{TimedPath, by_turns};
 use super::views::ImageVariant;
-use super::{PathNotes, Row, how, regions};
+use super::{how, regions};
 use glam::DVec3;
 use presight_features::generate::{FeatureKind, GenerateOptions, generate};
 use presight_features::{

@@ -1,6 +1,6 @@
 //! The selection of a path by a user: flags of `presight predict`, keys of the sensor file, or library calls.
 
-use super::paths::{EnginePath, Path};
+use super::path::{EnginePath, Path};
 use super::views::ImageVariant;
 use presight_features::{BoxMethod, STEP, Visibility};
 use presight_model::sensor::{Angles, Geometry, Scanner, Sensor};

@@ -1,10 +1,13 @@
 //! The measurement of one scene and sensor.
 
+use super::engines::Engines;
 use super::errors::{self, ImageErrors};
-use super::paths::{Engines, Path, PathName};
+use super::path::{Path, PathName};
+use super::results::{Finding, PathNotes, Row};
+use super::setup::{Effort, Scene};
 use super::timing::{TimedPath, Timing, by_turns};
-use super::views::StudyView;
-use super::{Effort, Finding, PathNotes, Row, Scene, advice, features, pareto, request};
+use super::views::{StudyView, request};
+use super::{advice, features, pareto};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::Sensor;

@@ -1,6 +1,6 @@
 //! Pareto fronts of time and error.
 
-use super::Row;
+use super::results::Row;
 
 /// Decides for each (time, error) whether it is on the Pareto front: no other is at least as good in both and better in
 /// one. NaN values are never on the front.

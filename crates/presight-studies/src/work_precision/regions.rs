@@ -3,10 +3,11 @@
 //! Settings: the method of propagating errors through the projection, at small to large pose errors.
 
 use super::features::Case;
+use super::how;
 use super::one::{Progress, SceneStudy};
-use super::paths::{EnginePath, PathName};
+use super::path::{EnginePath, PathName};
+use super::results::{PathNotes, Row};
 use super::timing::{TimedPath, by_turns};
-use super::{PathNotes, Row, how};
 use glam::{DMat3, DQuat, DVec3};
 use presight_features::roi::RoiFlag;
 use presight_features::{
@@ -70,7 +71,7 @@ pub(super) fn rows(
         for TimedPath { what, timing } in &mut all {
             let mut seen = judged.seen.clone();
             timing.warm(|| what.make(one, case, &judged.placed, &mut seen))?;
-            what.found.extend(what.told(one, case, &seen));
+            what.found.extend(what.evaluated(one, case, &seen));
         }
         let (mut seen, effort) = (judged.seen.clone(), one.effort);
         let make = |what: &mut RegionPath| what.make(one, case, &judged.placed, &mut seen);
@@ -161,15 +162,15 @@ impl RegionPath {
     }
 
     /// Evaluates the predicted regions with random samples of the errors.
-    fn told(&self, one: &SceneStudy<'_>, case: &Case<'_>, seen: &FeaturePrediction) -> Vec<Region> {
+    fn evaluated(&self, one: &SceneStudy<'_>, case: &Case<'_>, seen: &FeaturePrediction) -> Vec<Region> {
         let (sensor, draws) = (one.sensor, one.effort.draws);
         let pixels = f64::from(sensor.width()) * f64::from(sensor.height());
-        let told = |(i, seen): (usize, &SeenFeature)| {
+        let region = |(i, seen): (usize, &SeenFeature)| {
             let [x0, y0, x1, y1] = seen.roi?;
             let missed = missed(sensor, case.pose, seen, self.errors, draws, i as u64);
             Some(Region { missed, area: (x1 - x0) * (y1 - y0) / pixels })
         };
-        parallel_or_here(|| seen.features.par_iter().enumerate().filter_map(told).collect())
+        parallel_or_here(|| seen.features.par_iter().enumerate().filter_map(region).collect())
     }
 
     /// The kinds of errors: name, error, and the bound if there is one.

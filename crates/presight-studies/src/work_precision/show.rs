@@ -1,6 +1,7 @@
 //! The results as CSV, JSON and an HTML page.
 
-use super::{Finding, Findings, Row, tables};
+use super::results::{Finding, Findings, Row};
+use super::tables;
 use crate::chart::{Chart, Series, Style};
 use crate::page::{Part, Section, Table, page};
 use crate::{Machine, csv_field};
@@ -32,7 +33,10 @@ const KINDS: [(&str, &str); 14] = [
         "range_of_bound",
         "largest ratio of the difference to the rounding error allowed at its pixel; the bound of exact paths is 1",
     ),
-    ("silhouette_px", "mean distance between the borders of objects in both images, pixels, both ways, at most 16"),
+    (
+        "silhouette_px",
+        "mean distance between the borders of objects in both images, pixels, in both directions, at most 16",
+    ),
     ("silhouette_most_px", "the largest such distance"),
     ("fault_share", "only for exact paths: fraction of pixels that no rounding, edge or tie explains"),
     ("missing_share", "fraction of the sensor's pixels that the path leaves out; its other errors are for the rest"),

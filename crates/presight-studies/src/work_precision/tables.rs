@@ -1,6 +1,6 @@
 //! Tables of the page: errors and times, settings of paths, stages, and skipped stages.
 
-use super::{PathNotes, Row};
+use super::results::{PathNotes, Row};
 use crate::page::Table;
 use presight_render::plan::Omission;
 
@@ -158,7 +158,7 @@ mod tests {
         let notes: Vec<PathNotes> = (0..5)
             .map(|i| PathNotes {
                 engine: "cpu".into(),
-                variant: format!("way {i}"),
+                variant: format!("path {i}"),
                 how: String::new(),
                 default: i == 0,
                 runs: 3,
@@ -173,6 +173,6 @@ mod tests {
             })
             .collect();
         let by: Vec<String> = left_out(&notes).rows.into_iter().map(|mut row| row.remove(2)).collect();
-        assert_eq!(by, ["all", "cpu, way 1", "all but cpu, way 0 (default)"]);
+        assert_eq!(by, ["all", "cpu, path 1", "all but cpu, path 0 (default)"]);
     }
 }

@@ -1,7 +1,8 @@
 //! Times of paths and their stages, with warm-up, in interleaved runs.
 
-use super::paths::PathName;
-use super::{Effort, PathNotes, StageTime};
+use super::path::PathName;
+use super::results::{PathNotes, StageTime};
+use super::setup::Effort;
 use crate::median;
 use presight_model::error::Result;
 use presight_model::statistics;
@@ -184,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_told_by_nearest_rank() {
+    fn quantiles_of_times_have_the_nearest_rank() {
         let timing = Timing { times_ms: (1..=100).rev().map(f64::from).collect(), ..Timing::default() };
         assert_eq!((timing.median(), timing.p95(), timing.quartiles()), (50.5, 95.0, [25.0, 75.0]));
         assert_eq!((Timing::default().median(), Timing::default().p95()), (0.0, 0.0));

@@ -1,10 +1,14 @@
 //! Variants of the sensor that paths predict: the same rays from a table, fewer rays, or a part of the image.
 
-use super::request;
 use glam::DVec3;
 use presight_model::error::Result;
 use presight_model::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor};
-use presight_render::plan::Images;
+use presight_render::plan::{ImageRequest, Images};
+
+/// The images that every path predicts.
+pub(super) fn request() -> ImageRequest {
+    ImageRequest::default()
+}
 
 /// A variant of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,7 +3,7 @@
 use crate::geometry::Aabb;
 use glam::Vec3;
 
-/// A planar convex polygon, for [`Mesh::new`].
+/// A planar convex polygon, for [`Mesh::new`](super::Mesh::new).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polygon {
     /// Vertex indices in winding order, at least 3.

@@ -104,9 +104,9 @@ fn length_or_none(name: &str, metres: f64) -> Result<f64> {
 }
 
 /// A number of facets or steps.
-fn count(name: &str, n: u32, least: u32) -> Result<u32> {
-    if (least..=limits::MAX_FACETS).contains(&n) {
+fn count(name: &str, n: u32, min: u32) -> Result<u32> {
+    if (min..=limits::MAX_FACETS).contains(&n) {
         return Ok(n);
     }
-    Err(Error::invalid(format!("{name} is {n}"), format!("give {least} to {}", limits::MAX_FACETS)))
+    Err(Error::invalid(format!("{name} is {n}"), format!("give {min} to {}", limits::MAX_FACETS)))
 }

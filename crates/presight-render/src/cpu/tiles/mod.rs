@@ -20,6 +20,7 @@ use super::{Bands, CpuEngine, FEW_RAYS, resolve};
 use crate::deadline::{DeadlineOutcome, Degradation, DegradationKind, DegradationStep};
 use crate::plan::{CountName, FramePlan, Images, StageName, Stats, Way};
 use decide::Decision;
+pub use object::Margins;
 use presight_model::clock::Instant;
 use presight_model::error::Result;
 use presight_model::sensor::{GROUP, GroupLayout, RayTile, RayTiles};
@@ -89,23 +90,6 @@ impl Vectors {
         }
         if self == Self::Avx2 { pulp::Arch::new().dispatch(task) } else { Simd::vectorize(pulp::Scalar::new(), task) }
     }
-}
-
-/// Factors on the margins of the search, which docs/design/precision.md derives. Factors below 1 are faults, which
-/// tests plant.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Margins {
-    /// Factor for edges and depths.
-    pub edges: f32,
-    /// Factor for boxes.
-    pub boxes: f32,
-    /// Factor for positions of triangles among the rays of a tile.
-    pub places: f32,
-}
-
-impl Margins {
-    /// The derived margins.
-    pub const SOUND: Self = Self { edges: 1.0, boxes: 1.0, places: 1.0 };
 }
 
 /// A task that is compiled for each width.

@@ -1,12 +1,28 @@
 //! Objects in the view of a tile: a tree, with the tile's axes and the sensor in its frame.
 
-use super::super::setup::RayInstance;
-use super::Margins;
+use super::super::instance::RayInstance;
 use crate::plan::FramePlan;
 use glam::{DMat3, DVec3};
 use presight_model::geometry::Aabb;
 use presight_model::index::{ObjectTree, RayNode, RayTree};
 use presight_model::sensor::RayTile;
+
+/// Factors on the margins of the search, which docs/design/precision.md derives. Factors below 1 are faults, which
+/// tests plant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Margins {
+    /// Factor for edges and depths.
+    pub edges: f32,
+    /// Factor for boxes.
+    pub boxes: f32,
+    /// Factor for positions of triangles among the rays of a tile.
+    pub places: f32,
+}
+
+impl Margins {
+    /// The derived margins.
+    pub const SOUND: Self = Self { edges: 1.0, boxes: 1.0, places: 1.0 };
+}
 
 /// Rounding of f32, relative.
 const EPSILON: f32 = 0.5 * f32::EPSILON;

@@ -2,8 +2,7 @@
 //! sees, or the polygons that the ray may see. A ray is (1, s, t) in the axes of its tile, and its inverse depth k at a
 //! point is 1 over the point's first coordinate.
 
-use super::Margins;
-use super::object::{PlacedObject, Placing, TreeView};
+use super::object::{Margins, PlacedObject, Placing, TreeView};
 use super::wide::{Eight, Make, Three, Width, cross, dot, size, three};
 use crate::plan::FramePlan;
 use glam::DMat3;

@@ -1,6 +1,6 @@
 //! Uncertain features in front of a camera: nearly singular, indefinite and stiff covariances.
 
-use super::{Family, Finding, powers};
+use super::family::{Family, Finding, powers};
 use crate::stability::big::{Big, Vector};
 use crate::stability::subjects::{BoxSetting, Subject};
 use glam::{DMat3, DQuat, DVec3};

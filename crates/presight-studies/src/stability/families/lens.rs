@@ -1,8 +1,8 @@
 //! Lenses near their fold, inside and beyond.
 
+use super::family::{Case, Family, Finding, powers};
 use super::scenes::measure;
 use super::shapes::{Scene, frame, wall};
-use super::{Case, Family, Finding, powers};
 use crate::stability::big::{Big, Vector};
 use crate::stability::lens::{Exact, TOLERANCE};
 use crate::stability::subjects::Subject;

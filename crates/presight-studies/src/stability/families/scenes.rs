@@ -1,7 +1,7 @@
 //! Families of scenes: the table, and functions that make the cases.
 
+use super::family::{Case, Family, Finding, Outcome, powers};
 use super::shapes::{Scene, camera, cuboid, frame, mesh, point, scanner, sensors, wall};
-use super::{Case, Family, Finding, Outcome, powers};
 use crate::stability::judge::{ErrorSummary, TruthImage};
 use crate::stability::subjects::Subject;
 use glam::{DAffine3, DVec3, Vec3};

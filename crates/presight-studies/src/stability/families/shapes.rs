@@ -1,6 +1,6 @@
 //! Meshes, sensors and frames shared by several families.
 
-use super::Case;
+use super::family::Case;
 use glam::{DVec3, Vec3};
 use presight_model::environment::{CUBOID_FACES, cuboid_corners};
 use presight_model::environment::{Environment, Material, Mesh, NewObject, Polygon, PolygonOrder};
