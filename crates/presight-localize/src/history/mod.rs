@@ -10,7 +10,7 @@
 //! |---|---|
 //! | [`Tracker::seed`] | starts tracks from a full prediction and ends the tracks of other features |
 //! | [`Tracker::predict`] | returns windows that hold each feature with the stated probability |
-//! | [`Tracker::correct`] | matches detections to tracks, corrects tracks, and drops tracks missed three times in a row |
+//! | [`Tracker::correct`] | matches detections to tracks, corrects them, and drops tracks missed three times in a row |
 //!
 //! `docs/history.md` has the mathematics.
 

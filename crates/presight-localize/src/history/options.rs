@@ -33,8 +33,8 @@ impl ImageExtent {
 /// use presight::localize::{ImageExtent, TrackerOptions};
 /// let options = TrackerOptions::new(ImageExtent::new(640, 480)).with_confidence(0.95);
 /// assert!(options.check().is_ok());
-/// let wrong = options.with_confidence(1.0);
-/// assert_eq!(wrong.check().unwrap_err().to_string(), "confidence 1 is not in 0.5..1; give a probability such as 0.99");
+/// let wrong = options.with_confidence(1.0).check().unwrap_err();
+/// assert_eq!(wrong.to_string(), "confidence 1 is not in 0.5..1; give a probability such as 0.99");
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
