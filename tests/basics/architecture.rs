@@ -6,9 +6,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates of ARCHITECTURE's picture, lowest first, with those that stand directly below each.
-pub const PICTURE: [(&str, &[&str]); 17] = [
+pub const PICTURE: [(&str, &[&str]); 18] = [
     ("presight-model", &[]),
-    ("presight-read", &["presight-model"]),
+    ("presight-ros", &["presight-model"]),
+    ("presight-read", &["presight-ros"]),
     ("presight-render", &["presight-model"]),
     ("presight-features", &["presight-render"]),
     ("presight-predict", &["presight-features"]),
@@ -27,12 +28,15 @@ pub const PICTURE: [(&str, &[&str]); 17] = [
 ];
 
 /// Crates from outside that only some crates may use, and there only one folder of the sources if it is named.
-const FOREIGN: [(&[&str], &[&str], Option<&str>); 7] = [
+const FOREIGN: [(&[&str], &[&str], Option<&str>); 10] = [
     (&["wgpu", "pollster"], &["presight-predict"], Some("gpu")),
     (&["apriltag"], &["presight-localize"], Some("extract")),
     (&["exr"], &["presight-files", "presight-read"], None),
-    (&["gltf", "rhai", "serde-saphyr", "toml"], &["presight-read"], None),
-    (&["rusqlite", "twox-hash"], &["presight-store"], None),
+    (&["gltf", "rhai", "toml"], &["presight-read"], None),
+    (&["serde-saphyr"], &["presight-read", "presight-ros"], None),
+    (&["rusqlite"], &["presight-ros", "presight-store"], None),
+    (&["mcap"], &["presight-ros"], None),
+    (&["twox-hash"], &["presight-store"], None),
     (&["image", "png"], &["presight-pictures", "presight-read"], None),
     (&["hyper", "tokio"], &["presight-editor"], Some("http")),
 ];
