@@ -1,4 +1,4 @@
-//! `presight bag`: the content of a ROS 2 bag, and what presight takes from it.
+//! `presight bag`: the content of a ROS 2 bag, and the parts that presight takes from it.
 
 use super::bag_args::BagArgs;
 use super::{CommandOutcome, print};
@@ -13,8 +13,8 @@ const EXAMPLES: &str = "Examples:
 
 /// Show the topics, frames and times of a ROS 2 bag, and what presight takes from it
 ///
-/// BAG is an MCAP file, an SQLite file (.db3), or the folder that `ros2 bag record` makes. Commands that take a log take a
-/// bag, with the same flags. ROS need not be installed. Exit status 1 if presight can take no log from the bag.
+/// BAG is an MCAP file, an SQLite file (.db3), or the folder that `ros2 bag record` makes. Commands that take a log
+/// take a bag, with the same flags. ROS need not be installed. Exit status 1 if presight can take no log from the bag.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -32,7 +32,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// Those of the bag: not readable, or nothing in it that presight can take as a log.
+/// A bag that cannot be read, or that has no topic for a log.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let report = BagReport::of(&args.bag, &args.choices.options()?)?;
     if args.json {

@@ -6,7 +6,7 @@
 
 use presight_model::error::{Error, Result};
 
-/// Reads one message from front to back. Every length is compared with the remaining bytes before anything is allocated.
+/// Reads one message from front to back. Every length is compared with the remaining bytes before memory is allocated.
 #[derive(Clone, Debug)]
 pub struct Cursor<'a> {
     /// The message behind its header.

@@ -1,4 +1,4 @@
-//! A survey of a bag: its topics with counts and times, its tree of frames, and what is wrong with it.
+//! A survey of a bag: its topics with counts and times, its tree of frames, and its faults.
 
 use crate::cdr::Cursor;
 use crate::message::{
@@ -33,8 +33,8 @@ pub struct TopicSurvey {
     pub count: u64,
     /// The frame of its first message, without a leading slash; empty if its type has no header.
     pub frame: String,
-    /// Stamps of the first and the last message, nanoseconds: of their headers, or of the recorder where the type has none or
-    /// the stamp is 0.
+    /// Stamps of the first and the last message, nanoseconds: from their headers, or from the recorder where the type
+    /// has no header or the stamp is 0.
     pub span_ns: (i64, i64),
     /// The longest time from one stamp to the next, nanoseconds.
     pub max_gap_ns: i64,
@@ -57,7 +57,7 @@ pub struct EdgeSurvey {
     pub span_ns: (i64, i64),
 }
 
-/// The most faults that are kept: the first ones say what is wrong.
+/// Maximum number of faults that are kept; later ones mostly repeat them.
 const MAX_FAULTS: usize = 16;
 
 /// Message types that start with a header.

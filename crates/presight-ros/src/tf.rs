@@ -41,8 +41,7 @@ pub enum Lookup {
 }
 
 impl FrameTree {
-    /// Adds a transform. A sample that is older than the newest one of its edge is put in order; one of the same stamp replaces
-    /// the old one.
+    /// Adds a transform. Samples may come in any order; one of the same stamp replaces the old one.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] if the child has another parent already, or is among the parents of its
@@ -131,7 +130,7 @@ impl FrameTree {
     }
 }
 
-/// Where a stamp lies that the samples do not enclose.
+/// The side of the samples on which a stamp lies.
 enum Outside {
     Before,
     After,
@@ -203,7 +202,7 @@ mod tests {
         assert!(tree.is_rigid("base_link", "laser") && !tree.is_rigid("odom", "laser"));
     }
 
-    /// A TurtleBot 4 has `base_footprint` as the child of `base_link`: the path goes down as well as up.
+    /// A TurtleBot 4 has `base_footprint` as the child of `base_link`: the route leads up, then down.
     #[test]
     fn a_child_and_a_sibling_are_reached() {
         let mut tree = FrameTree::default();

@@ -10,7 +10,7 @@ presight_model::options! {
         topic: Option<String> = None, with_topic;
         /// The frame of the robot; by default `base_link`, else `base_footprint`.
         base: Option<String> = None, with_base;
-        /// robot_from_sensor in body axes, instead of the one from the transforms.
+        /// robot_from_sensor in body axes; by default it follows from the transforms.
         mount: Option<Pose> = None, with_mount;
         /// The intensity of a full reflector in units of the driver; without it intensities are not read.
         reflector: Option<f32> = None, with_reflector;
@@ -18,7 +18,7 @@ presight_model::options! {
 }
 
 impl BagOptions {
-    /// True if nothing was chosen.
+    /// True if every choice is the default.
     pub fn is_default(&self) -> bool {
         *self == Self::default()
     }

@@ -28,7 +28,7 @@ pub struct Frames {
     frames: Box<dyn Iterator<Item = Result<Observation>> + Send>,
     ended: bool,
     readings: Readings,
-    /// What was left out of a bag.
+    /// Notices on parts of a bag that were left out.
     notices: Arc<Mutex<Vec<String>>>,
     has_planar_poses: bool,
 }
@@ -177,8 +177,8 @@ impl Frames {
         self.has_planar_poses
     }
 
-    /// What was left out so far, a line each; and one line that counts the readings by their meaning, unless every reading
-    /// is a distance.
+    /// Notices on parts that were left out so far, and one that counts the readings by their meaning, unless every
+    /// reading is a distance.
     pub fn notices(&self) -> Vec<String> {
         let left_out = self.notices.lock().unwrap_or_else(PoisonError::into_inner);
         left_out.iter().cloned().chain(self.readings.notice()).collect()

@@ -7,7 +7,8 @@
 //! - **Documents** ([`document`]): one JSON object whose `scans` list planar laser scans, as in public data sets. It is
 //!   held in memory.
 //!
-//! [`Frames`] also opens ROS 2 bags (`bag`), folders of depth images, and scans as points or images of ranges ([`scans`]).
+//! [`Frames`] also opens ROS 2 bags (`bag`), folders of depth images, and scans as points or images of ranges
+//! ([`scans`]).
 
 #[cfg(feature = "ros")]
 pub mod bag;

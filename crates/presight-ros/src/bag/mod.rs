@@ -51,7 +51,7 @@ pub struct Bag {
 /// recorders write chunks of 0.75 to 16 MiB, or of one message.
 const MAX_RECORD_BYTES: usize = 1 << 28;
 
-/// How a file stores its messages.
+/// The container that stores the messages of a file.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Container {
     Mcap,
@@ -79,8 +79,8 @@ impl Bag {
     /// taken by name.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] if there is no bag at the path; [`ErrorKind::Unsupported`] for a bag of ROS 1 or a compressed
-    /// file; [`ErrorKind::System`] if a file cannot be read.
+    /// [`ErrorKind::Invalid`] if there is no bag at the path; [`ErrorKind::Unsupported`] for a bag of ROS 1 or a
+    /// compressed file; [`ErrorKind::System`] if a file cannot be read.
     pub fn open(path: &Path) -> Result<Self> {
         let files = if path.is_dir() { folder::files_of(path)? } else { vec![path.to_owned()] };
         for file in &files {
@@ -99,8 +99,8 @@ impl Bag {
         &self.files
     }
 
-    /// The messages of the topics that `wanted` accepts, in the order of recording. The bag is read forward, one message
-    /// at a time.
+    /// The messages of the topics that `wanted` accepts, in the order of recording. The bag is read forward, one
+    /// message at a time.
     pub fn messages(&self, wanted: impl Fn(&Topic) -> bool + Send + 'static) -> Messages {
         Messages {
             files: self.files.clone().into_iter(),
@@ -210,7 +210,7 @@ impl Iterator for Messages {
 /// The result of reading on in one file.
 enum Step {
     Record(Record),
-    /// The file is damaged here; the text says how.
+    /// The file is damaged here; the text names the damage.
     Lost(String),
     End,
 }

@@ -20,7 +20,8 @@ impl Reader {
     pub(super) fn open(path: &Path) -> Result<Self> {
         let log = with_suffix(path, "-wal");
         let has_log = std::fs::metadata(&log).is_ok_and(|m| m.len() > 0);
-        // SQLite writes beside a file whose write-ahead log it reads, so it gets a copy; without one the file is immutable.
+        // To read a write-ahead log SQLite writes into the same folder, so it gets a copy. A file without a log is
+        // opened as immutable.
         let (_copy, path) = if has_log {
             let copy = copy_with_log(path, &log)?;
             let path = copy.path().join("bag.db3");

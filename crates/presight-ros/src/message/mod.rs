@@ -21,7 +21,7 @@ pub trait Message<'a>: Sized {
     /// Decodes the fields in the order of the definition.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Invalid`] if the message ends early or a length is greater than the remaining bytes.
+    /// [`presight_model::ErrorKind::Invalid`] if the message ends early or a length is greater than the rest of it.
     fn read(cursor: &mut Cursor<'a>) -> Result<Self>;
 
     /// Decodes a serialized message with its header.

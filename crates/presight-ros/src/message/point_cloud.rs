@@ -6,7 +6,7 @@ use presight_model::error::{Error, Result};
 
 /// The number format of a field (`PointField.datatype`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs, reason = "the names say it")]
+#[allow(missing_docs, reason = "the names are those of Rust's types")]
 pub enum Scalar {
     I8,
     U8,
@@ -130,8 +130,8 @@ impl<'a> PointCloud2<'a> {
     /// The values of a field, row by row; `None` if the cloud has no field of this name.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Invalid`] if the field has an unknown data type or reaches beyond the point, or if the
-    /// steps do not fit the data.
+    /// [`presight_model::ErrorKind::Invalid`] if the field has an unknown data type or reaches beyond the point, or if
+    /// the steps do not fit the data.
     pub fn values<'s>(&'s self, name: &str) -> Result<Option<impl Iterator<Item = f64> + use<'s, 'a>>> {
         let Some(field) = self.fields.iter().find(|f| f.name == name) else { return Ok(None) };
         let invalid =

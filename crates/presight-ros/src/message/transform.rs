@@ -13,7 +13,8 @@ pub struct TransformStamped {
     pub header: Header,
     /// The frame that has this pose in its parent.
     pub child_frame_id: String,
-    /// parent_from_child, metres. The rotation is normalized; `None` if it is not finite or its length is off 1 by over 0.1.
+    /// parent_from_child, metres. The rotation is normalized; `None` if it is not finite or its length differs from 1
+    /// by over 0.1.
     pub parent_from_child: Option<Pose>,
 }
 
@@ -70,8 +71,8 @@ impl Message<'_> for Odometry {
     }
 }
 
-/// The greatest deviation of a quaternion's length from 1 that counts as rounding or drift of a publisher: tf2 itself
-/// warns from 0.1 on.
+/// Maximum deviation of a quaternion's length from 1 that rounding or drift of a publisher explains; tf2 warns from 0.1
+/// on.
 const MAX_QUATERNION_DEVIATION: f64 = 0.1;
 
 /// Position, then quaternion x y z w.

@@ -1,4 +1,4 @@
-//! What to take from a bag for what.
+//! The choice of topic, base, mount, odometry and reference from a survey of a bag.
 
 use crate::log::BagOptions;
 use presight_model::error::{Error, Result};
@@ -48,7 +48,7 @@ impl Measured {
     }
 }
 
-/// What presight takes from a bag.
+/// The topic, frames and transforms that presight takes from a bag.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Choice {
     /// The measured topic.
@@ -90,7 +90,8 @@ impl Choice {
     /// Chooses from a bag.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Usage`] if a chosen topic or frame is not in the bag, or several topics could be meant;
+    /// [`presight_model::ErrorKind::Usage`] if a chosen topic or frame is not in the bag, or several topics could be
+    /// meant;
     /// [`presight_model::ErrorKind::Unsupported`] for a serialization other than CDR;
     /// [`presight_model::ErrorKind::Invalid`] if there is no measurement, or an image has no `CameraInfo`.
     pub fn of(survey: &Survey, options: &BagOptions) -> Result<Self> {
@@ -174,7 +175,7 @@ fn chosen_base(survey: &Survey, base: Option<&str>) -> Result<String> {
     Ok(known.unwrap_or("base_link").to_owned())
 }
 
-/// The `CameraInfo` beside an image: in the same namespace, else the only one with the frame of the image.
+/// The `CameraInfo` of an image topic: the one in its namespace, otherwise the only one with its frame.
 fn camera_info_of(survey: &Survey, image: &TopicSurvey) -> Result<String> {
     let name = image.topic.name.as_str();
     let name = name.strip_suffix("/compressedDepth").unwrap_or(name);

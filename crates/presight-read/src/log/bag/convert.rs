@@ -23,7 +23,7 @@ pub(super) struct Converter {
     pub mount: Pose,
     pub options: BagOptions,
     pub is_rectified: bool,
-    /// Of the last message, while its geometry stays the same.
+    /// The sensor of the last message, which serves again while its geometry stays the same.
     pub sensor: Option<Sensor>,
     /// Seconds from one scan to the next, where the messages do not know it.
     pub period_s: Option<f64>,
@@ -114,9 +114,7 @@ impl Converter {
                 frame.with_intensities(GreyImage::new(beams as u32, 1, values)?)
             }
             None => {
-                self.add_notice(
-                    "intensities are not read: --reflector VALUE says which intensity is a full reflector's",
-                );
+                self.add_notice("intensities are not read; --reflector VALUE gives the intensity of a full reflector");
                 Ok(frame)
             }
         }
@@ -196,8 +194,8 @@ const MAX_TURN_DEVIATION: f64 = 0.2;
 /// The angles of the beams, in degrees.
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Invalid`] if there is no beam, the increment is 0 or not finite, or the number of ranges
-/// does not fit the angles by more than one beam.
+/// [`presight_model::ErrorKind::Invalid`] if there is no beam, the increment is 0 or not finite, or the number of
+/// ranges does not fit the angles by more than one beam.
 fn azimuths(scan: &LaserScan) -> Result<Angles> {
     let count = scan.ranges.len();
     let (min, max, step) = (f64::from(scan.angle_min), f64::from(scan.angle_max), f64::from(scan.angle_increment));
@@ -244,8 +242,8 @@ fn millimetres(value: u16) -> f32 {
     if value == u16::MAX { f32::NAN } else { f32::from(value) / 1000.0 }
 }
 
-/// Size and depth in metres of an image of `compressedDepth`: 12 bytes (format and two parameters), then a PNG of 16 bits.
-/// Depth as f32 is stored inverse and quantized: z = a / (value - b).
+/// Size and depth in metres of an image of `compressedDepth`: 12 bytes (format and two parameters), then a PNG of 16
+/// bits. Depth as f32 is stored inverse and quantized: z = a / (value - b).
 fn compressed_depth(image: &CompressedImage<'_>) -> Result<((u32, u32), Vec<f32>)> {
     let wrong = |what: String| Error::invalid(what, "record the topic without compression");
     if image.format.contains("rvl") {
@@ -279,7 +277,7 @@ fn compressed_depth(image: &CompressedImage<'_>) -> Result<((u32, u32), Vec<f32>
 fn yaml_of(info: &CameraInfo) -> String {
     let CameraInfo { width, height, distortion_model, d, k, r, p, binning: [bx, by], roi, .. } = info;
     let [x_offset, y_offset, roi_height, roi_width] = roi;
-    // PNG and NaN need no care: Rust prints numbers that YAML reads, and f64 to the last digit.
+    // Rust prints an f64 with all digits that matter.
     let mut text = format!("width: {width}\nheight: {height}\nk: {k:?}\nr: {r:?}\np: {p:?}\n");
     let model = if distortion_model.is_empty() { "plumb_bob" } else { distortion_model };
     let _ = write!(text, "distortion_model: {model:?}\nd: {d:?}\nbinning_x: {bx}\nbinning_y: {by}\n");

@@ -14,8 +14,8 @@ use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-/// Frames that wait for a transform at or after their stamp. Recorders interleave topics within a fraction of a second; a
-/// robot whose `map` to `odom` comes at 1 Hz makes a scanner of 50 Hz wait for 50 frames.
+/// Maximum number of frames that wait for a transform at or after their stamp. Recorders interleave topics within a
+/// fraction of a second; a robot whose `map` to `odom` comes at 1 Hz makes a scanner of 50 Hz wait for 50 frames.
 const MAX_WAITING: usize = 64;
 
 /// Seconds per nanosecond.
@@ -104,12 +104,12 @@ impl BagFrames {
         })
     }
 
-    /// What is taken from the bag.
+    /// The topic, frames and transforms taken from the bag.
     pub fn choice(&self) -> &Choice {
         &self.choice
     }
 
-    /// What was left out so far, a line each. The list grows as frames are read.
+    /// Notices on parts that were left out so far, a line each. The list grows as frames are read.
     pub fn notices(&self) -> Arc<Mutex<Vec<String>>> {
         Arc::clone(&self.converter.notices)
     }
@@ -130,7 +130,7 @@ impl BagFrames {
             }
         } else {
             for t in TFMessage::decode(&record.data)?.transforms {
-                // A static edge that is published on /tf too stays as it is; the survey has reported bad rotations.
+                // A static edge stays static if /tf repeats it. The survey has reported bad rotations.
                 let (Some(pose), header) = (t.parent_from_child, &t.header) else { continue };
                 // Two parents are reported by the survey; the first one counts.
                 let _ = self.tree.insert(&header.frame_id, &t.child_frame_id, header.stamp_ns, pose, false);
@@ -164,7 +164,7 @@ impl BagFrames {
         }
     }
 
-    /// The first waiting frame, once its transforms are known.
+    /// The first waiting frame, if its transforms have come.
     fn ready(&mut self) -> Option<Observation> {
         let (stamp, _) = self.waiting.front()?;
         let stamp = *stamp;

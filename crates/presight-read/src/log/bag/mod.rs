@@ -1,7 +1,7 @@
 //! ROS 2 bags as logs: the frames of one topic, with mount, odometry and reference from the bag's transforms.
 //!
-//! - **Measured**: `LaserScan`; `PointCloud2`; `Image` of `32FC1`, `16UC1` (millimetres, REP-118), `mono8` and `mono16`;
-//!   `CompressedImage` of `compressedDepth` in PNG.
+//! - **Measured**: `LaserScan`; `PointCloud2`; `Image` of `32FC1`, `16UC1` (millimetres, REP-118), `mono8` and
+//!   `mono16`; `CompressedImage` of `compressedDepth` in PNG.
 //! - **Mount**: `/tf_static` from the robot's base to the frame of the messages, wherever in the bag it was recorded.
 //! - **Odometry**: `/tf` from `odom` to the base, else the one topic of `nav_msgs/msg/Odometry`.
 //! - **Reference**: `/tf` from `map` to the base. Estimates must not use it.

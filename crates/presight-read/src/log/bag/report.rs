@@ -1,14 +1,15 @@
-//! The content of a bag in words: topics, frames, times, and what presight takes for what.
+//! A report of a bag: its topics, frames and times, and the parts that presight takes from it.
 
 use super::choice::{Choice, Measured, measured_topics};
 use crate::log::BagOptions;
 use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::geometry::Pose;
 use presight_ros::message::{CameraInfo, Image, LaserScan, Message, PointCloud2};
 use presight_ros::{Bag, Survey, TopicSurvey};
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// What a bag holds, what presight takes from it, and what hinders it.
+/// The content of a bag, the parts that presight takes from it, and the reason if it takes none.
 #[derive(Debug)]
 pub struct BagReport {
     bag: Bag,
@@ -18,7 +19,7 @@ pub struct BagReport {
 
 /// Seconds per nanosecond.
 const NANO: f64 = 1e-9;
-/// A gap in a topic is worth a word if it is this many times longer than the mean distance of its messages: a recorder that
+/// A gap in a topic is reported if it is this many times longer than the mean distance of its messages. A recorder that
 /// drops every other message makes gaps of 2.
 const NOTABLE_GAP: f64 = 5.0;
 
@@ -26,7 +27,7 @@ impl BagReport {
     /// Reads a bag once.
     ///
     /// # Errors
-    /// As [`Bag::open`] and [`Survey::of`]. What hinders presight from reading it as a log is part of the report.
+    /// As [`Bag::open`] and [`Survey::of`]. A bag that presight cannot read as a log is not an error here.
     pub fn of(path: &Path, options: &BagOptions) -> Result<Self> {
         let bag = Bag::open(path)?;
         let survey = Survey::of(&bag)?;
@@ -34,7 +35,8 @@ impl BagReport {
         Ok(Self { bag, survey, choice })
     }
 
-    /// The reason why no topic of the bag can be read as a log. Several measured topics are no reason: a flag chooses.
+    /// The reason why no topic of the bag can be read as a log. Several measured topics do not count: a flag chooses
+    /// one.
     ///
     /// # Errors
     /// This reason.
@@ -72,18 +74,22 @@ impl BagReport {
         let poses: Vec<(&str, &presight_ros::Edge)> = self.survey.tree.edges().collect();
         let transforms = self.survey.edges.iter().map(|((parent, child), edge)| {
             let pose = poses.iter().find(|(c, e)| c == child && e.parent == *parent).map(|(_, e)| e.last());
-            let pose = pose.map(|p| [p.translation.to_array().to_vec(), p.rotation.to_array().to_vec()].concat());
+            let pose = pose.map(Pose::to_array);
             let span = [edge.span_ns.0 as f64 * NANO, edge.span_ns.1 as f64 * NANO];
-            json!({"parent": parent, "child": child, "static": edge.is_static, "count": edge.count, "span_s": span, "last_pose": pose})
+            json!({
+                "parent": parent, "child": child, "static": edge.is_static, "count": edge.count, "span_s": span,
+                "last_pose": pose,
+            })
         });
         let taken = self.choice.as_ref().ok().map(|choice| {
             json!({
                 "topic": choice.topic, "frame": choice.frame, "base": choice.base, "camera_info": choice.camera_info,
-                "mount": choice.base_from_frame.map(|p| [p.translation.to_array().to_vec(), p.rotation.to_array().to_vec()].concat()),
+                "mount": choice.base_from_frame.map(|pose| pose.to_array()),
                 "odometry": choice.odometry_topic.clone().or(choice.odom.as_ref().map(|_| "/tf".to_owned())),
                 "reference": choice.has_reference,
             })
         });
+        let lost = self.survey.losses.iter().map(|loss| format!("{}: {}", loss.file.display(), loss.what));
         json!({
             "files": self.bag.files(),
             "topics": topics,
@@ -91,7 +97,7 @@ impl BagReport {
             "measured": measured_topics(&self.survey).iter().map(|(t, _)| &t.topic.name).collect::<Vec<_>>(),
             "taken": taken,
             "hindrance": self.choice.as_ref().err().map(Error::to_string),
-            "lost": self.survey.losses.iter().map(|loss| format!("{}: {}", loss.file.display(), loss.what)).collect::<Vec<_>>(),
+            "lost": lost.collect::<Vec<_>>(),
             "faults": self.survey.faults,
         })
         .to_string()
