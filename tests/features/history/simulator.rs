@@ -66,10 +66,10 @@ impl Default for Disturbance {
 
 pub const WIDTH: u32 = 640;
 pub const HEIGHT: u32 = 480;
-const FOCAL: f64 = 500.0;
+pub const FOCAL: f64 = 500.0;
 const RATE: f64 = 20.0;
 /// m/s^2 and rad/s^2.
-const ACCELERATIONS: [f64; 2] = [1.0, 1.5];
+pub const ACCELERATIONS: [f64; 2] = [1.0, 1.5];
 /// One sigma of the properties.
 pub const TOLD: [f64; 3] = [0.05, 0.05, 0.05];
 

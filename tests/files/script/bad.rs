@@ -304,7 +304,7 @@ fn parts_that_are_lost() {
         ("let d = assembly(); d.add(\"c\", c); c.add(\"x\", b); place(\"d\", d);", 38),
     ] {
         let place = format!("line 2, column {column}, in the call of add");
-        refused(&format!("{start}{text}"), &[&place, "part \"x\" is lost", "write a.add(name, thing)"]);
+        refused(&format!("{start}{text}"), &[&place, "part \"x\" is lost", "write a.add(name, part)"]);
     }
     for text in [
         "let a = [c]; a[0].add(\"x\", b); place(\"a\", a[0]);",
