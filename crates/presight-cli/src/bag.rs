@@ -1,7 +1,7 @@
 //! `presight bag`: the content of a ROS 2 bag, and the parts that presight takes from it.
 
 use super::bag_args::BagArgs;
-use super::{CommandOutcome, print};
+use super::{CommandOutcome, flags, print};
 use presight::Result;
 use presight::files::BagReport;
 use std::path::PathBuf;
@@ -36,9 +36,9 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let report = BagReport::of(&args.bag, &args.choices.options()?)?;
     if args.json {
-        print::data(&(report.to_json() + "\n"))?;
+        print::data(&(flags::named(&report.to_json()) + "\n"))?;
     } else {
-        print::lines(report.lines())?;
+        print::lines(report.lines().iter().map(|line| flags::named(line)))?;
     }
     report.check()?;
     Ok(CommandOutcome::Done)

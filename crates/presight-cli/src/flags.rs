@@ -3,6 +3,10 @@
 /// The words of the library's messages, and the command's words for them.
 const WORDS: &[(&str, &str)] = &[
     ("`Backend::Cpu`", "--backend cpu"),
+    ("`BagOptions::base`", "--base"),
+    ("`BagOptions::mount`", "--mount"),
+    ("`BagOptions::reflector`", "--reflector"),
+    ("`BagOptions::topic`", "--topic"),
     ("`Existing::Replace`", "--replace"),
     ("`GridOptions::cell`", "--cell"),
     ("`GridOptions::from_height`", "--from-height"),

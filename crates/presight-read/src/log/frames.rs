@@ -86,7 +86,7 @@ impl Frames {
     fn of_bag(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise, bag: &BagOptions) -> Result<Self> {
         let mut frames = BagFrames::open(path, bag, sensor, noise)?;
         let Some(first) = frames.next().transpose()? else {
-            return Err(Error::invalid("the topic has no messages", "choose another by --topic"));
+            return Err(Error::invalid("the topic has no messages", "choose another by `BagOptions::topic`"));
         };
         let sensor = first.frame.sensor().clone();
         let notices = frames.notices();

@@ -72,7 +72,10 @@ impl Bag {
         let magics = [MCAP_MAGIC, SQLITE_MAGIC, ROS1_MAGIC];
         let by_name =
             path.extension().is_some_and(|e| ["mcap", "db3", "bag"].iter().any(|n| e.eq_ignore_ascii_case(n)));
-        by_name || first_bytes(path).is_ok_and(|bytes| magics.iter().any(|magic| bytes.starts_with(magic)))
+        // A pipe must keep its first bytes.
+        by_name
+            || path.is_file()
+                && first_bytes(path).is_ok_and(|bytes| magics.iter().any(|magic| bytes.starts_with(magic)))
     }
 
     /// Opens a bag. A folder's `metadata.yaml` names its files in their order; if it is missing or empty, the files are
@@ -151,7 +154,7 @@ pub struct Messages {
 }
 
 enum Reader {
-    Mcap(mcap::Reader),
+    Mcap(Box<mcap::Reader>),
     Sqlite(sqlite::Reader),
 }
 
@@ -171,7 +174,7 @@ impl Messages {
             let Some((file, reader)) = &mut self.reader else {
                 let Some(file) = self.files.next() else { return Ok(None) };
                 let reader = match container_of(&file)? {
-                    Container::Mcap => Reader::Mcap(mcap::Reader::open(&file)?),
+                    Container::Mcap => Reader::Mcap(Box::new(mcap::Reader::open(&file)?)),
                     Container::Sqlite => Reader::Sqlite(sqlite::Reader::open(&file)?),
                 };
                 self.reader = Some((file, reader));

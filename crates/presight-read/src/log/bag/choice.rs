@@ -153,7 +153,7 @@ fn chosen_topic<'a>(survey: &'a Survey, name: Option<&str>) -> Result<(&'a Topic
         }
         several => Err(Error::usage(
             "the bag has several measured topics",
-            format!("choose one by --topic: {}", listed(several)),
+            format!("choose one by `BagOptions::topic`: {}", listed(several)),
         )),
     }
 }

@@ -114,7 +114,9 @@ impl Converter {
                 frame.with_intensities(GreyImage::new(beams as u32, 1, values)?)
             }
             None => {
-                self.add_notice("intensities are not read; --reflector VALUE gives the intensity of a full reflector");
+                self.add_notice(
+                    "intensities are not read; `BagOptions::reflector` is the intensity of a full reflector",
+                );
                 Ok(frame)
             }
         }

@@ -52,7 +52,7 @@ impl BagFrames {
         let by_frames = choice.base_from_frame.map(|pose| body_mount(pose, choice.measured));
         let Some(mount) = options.mount.or(by_frames).or(given) else {
             let what = format!("no static transform leads from \"{}\" to \"{}\"", choice.base, choice.frame);
-            return Err(Error::usage(what, "give --mount x,y,z,roll,pitch,yaw, or another --base"));
+            return Err(Error::usage(what, "give `BagOptions::mount` or `BagOptions::base`"));
         };
         let topic = survey.topic(&choice.topic).expect("the chosen topic is one of the survey's");
         let info = choice.camera_info.as_ref().and_then(|name| survey.topic(name)?.first.clone());

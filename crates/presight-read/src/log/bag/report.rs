@@ -145,7 +145,7 @@ fn choice_lines(choice: &Choice) -> Vec<String> {
             let [x, y, z] = p.translation.to_array();
             format!("{} from {}: {x:.4},{y:.4},{z:.4},{roll:.3},{pitch:.3},{yaw:.3}", choice.base, choice.frame)
         }
-        None => format!("no static transform from {} to {}; give --mount", choice.base, choice.frame),
+        None => format!("no static transform from {} to {}; give `BagOptions::mount`", choice.base, choice.frame),
     };
     let odometry = match (&choice.odom, &choice.odometry_topic) {
         (Some(odom), Some(topic)) => format!("{topic}, in frame {odom}"),
