@@ -93,8 +93,13 @@ fn reports_agree_with_other_readers() {
             let found = &report["topics"][topic];
             let keys = ["type", "count", "frame", "first_stamp", "last_stamp", "size", "encoding", "k", "d", "model"];
             for key in keys.iter().filter(|key| !expected[**key].is_null()) {
-                let is_counted_by_size = *key == "size" && found[*key].is_null();
-                assert!(is_counted_by_size || close(&found[*key], &expected[*key]), "{name} {topic} {key}: {found}");
+                // A leading slash of a frame does not count; compressed images do not state their size.
+                let expected = match &expected[*key] {
+                    Value::String(frame) if *key == "frame" => Value::from(frame.trim_start_matches('/')),
+                    other => other.clone(),
+                };
+                let is_compressed = *key == "size" && found[*key].is_null();
+                assert!(is_compressed || close(&found[*key], &expected), "{name} {topic} {key}: {found}");
             }
             for (key, value) in expected["sensor"].as_object().into_iter().flatten() {
                 assert!(close(&found["sensor"][key], value), "{name} {topic} {key}: {found}");
@@ -147,12 +152,14 @@ fn files_that_are_no_bags_are_refused_with_a_remedy() {
     place.write("cut.mcap", b"\x89MCAP0\r\n");
     place.write("text.mcap", b"hello, world");
     place.write("packed.db3", b"\x28\xb5\x2f\xfd....");
+    let cut = place.run("bag cut.mcap");
+    assert_eq!(cut.status, Some(1), "{}", cut.stdout);
+    assert!(cut.stdout.contains("cut within a chunk") && cut.stderr.contains("no measurement"), "{}", cut.stderr);
     check(
         &place,
         vec![
             bad("bag old.bag", 1, &["old.bag", "rosbags-convert --src"]),
             bad("localize old.bag --map wall.glb --init unknown --out a.tum", 1, &["old.bag", "rosbags-convert --src"]),
-            bad("bag cut.mcap", 1, &["cut.mcap", "no measurement"]),
             bad("bag text.mcap", 1, &["text.mcap", "neither an MCAP nor an SQLite file"]),
             bad("bag packed.db3", 1, &["packed.db3", "zstd -d"]),
             bad("bag nothing.mcap", 1, &["nothing.mcap", "check the path"]),

@@ -379,7 +379,7 @@ fn another_place_without_poses_is_another_group() {
     };
     let (_, alone) = explore("start", "alone.presight");
     let (both, environment) = explore("start other", "both.presight");
-    let group = "5 frames from 100 s to 104 s are a group of their own";
+    let group = "5 frames from 100 s to 104 s are left out, because no frame connects them with the first frame";
     assert!(both.stderr.contains(group), "{}", both.stderr);
     assert!(both.stdout.starts_with("6 frames: "), "{}", both.stdout);
     assert_eq!(environment.content_hash(), alone.content_hash());
