@@ -3,7 +3,6 @@
 use super::choice::{Choice, Measured, measured_topics};
 use crate::log::BagOptions;
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::Pose;
 use presight_ros::message::{CameraInfo, Image, LaserScan, Message, PointCloud2};
 use presight_ros::{Bag, Survey, TopicSurvey};
 use serde_json::{Value, json};
@@ -74,7 +73,7 @@ impl BagReport {
         let poses: Vec<(&str, &presight_ros::Edge)> = self.survey.tree.edges().collect();
         let transforms = self.survey.edges.iter().map(|((parent, child), edge)| {
             let pose = poses.iter().find(|(c, e)| c == child && e.parent == *parent).map(|(_, e)| e.last());
-            let pose = pose.map(Pose::to_array);
+            let pose = pose.map(|pose| pose.to_array());
             let span = [edge.span_ns.0 as f64 * NANO, edge.span_ns.1 as f64 * NANO];
             json!({
                 "parent": parent, "child": child, "static": edge.is_static, "count": edge.count, "span_s": span,
