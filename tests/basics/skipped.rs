@@ -29,7 +29,10 @@ fn skipped_tests_are_counted_with_their_reasons() {
         r#"printf 'a x\tno data\na x\tno data\nb x\tno data\nb x\tno adapter\nb y\tno data\n' >> "$PRESIGHT_SKIPPED""#;
     let told = "tests/run: 3 tests were skipped, all or in part: 3 because no data, 1 because no adapter";
     assert_eq!(run(notes), (Some(0), told.into()));
-    assert_eq!(run(&format!("{notes}\n[[ $1 == test && ${{!#}} == --test=engines ]] || exit 7\nexit 101")).0, Some(101));
+    assert_eq!(
+        run(&format!("{notes}\n[[ $1 == test && ${{!#}} == --test=engines ]] || exit 7\nexit 101")).0,
+        Some(101)
+    );
 }
 
 /// A test without its data leaves a note, and fails where everything must be tested.

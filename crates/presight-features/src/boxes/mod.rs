@@ -69,7 +69,7 @@ impl BoxOptions {
     ///
     /// ```
     /// use presight::features::BoxOptions;
-    /// use presight::{Pose, PoseEstimate};
+    /// use presight::{PoseEstimate, RobotPose};
     /// let camera = presight::preset("realsense-d435")?;
     /// let believed = PoseEstimate::of_sigmas(RobotPose::IDENTITY, 0.02, 0.01);
     /// let options = BoxOptions::default().with_robot(&believed, &camera);

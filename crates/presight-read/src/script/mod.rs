@@ -73,7 +73,7 @@ pub fn load(path: impl AsRef<Path>, options: &ImportOptions, say: &mut dyn FnMut
 ///
 /// ```
 /// let text = b"place(\"floor\", rectangle(6, 4));";
-/// let scene = presight_files::script::load_bytes("floor.rhai", text, &Default::default(), &mut |_| {})?;
+/// let scene = presight_read::script::load_bytes("floor.rhai", text, &Default::default(), &mut |_| {})?;
 /// assert_eq!(scene.environment.objects().len(), 1);
 /// # Ok::<(), presight::Error>(())
 /// ```

@@ -284,7 +284,7 @@ fn yaml_of(info: &CameraInfo) -> String {
     let model = if distortion_model.is_empty() { "plumb_bob" } else { distortion_model };
     let _ = write!(text, "distortion_model: {model:?}\nd: {d:?}\nbinning_x: {bx}\nbinning_y: {by}\n");
     let _ =
-        write!(text, "roi: {{x_offset: {x_offset}, y_offset: {y_offset}, height: {roi_height}, width: {roi_width}}}\n");
+        writeln!(text, "roi: {{x_offset: {x_offset}, y_offset: {y_offset}, height: {roi_height}, width: {roi_width}}}");
     text
 }
 
