@@ -1,11 +1,13 @@
 //! Pictures in logs: PNG files of 16-bit depth, and of brightness. The crate `image` reads them, which only the cargo
 //! feature `images` builds.
 
-use presight_model::error::{Error, Result};
+use presight_model::error::Result;
 use std::io::{BufRead, Seek};
 
 #[cfg(feature = "images")]
 use image::{DynamicImage, ImageDecoder, codecs::png::PngDecoder};
+#[cfg(feature = "images")]
+use presight_model::error::Error;
 
 /// A picture in memory, row-major.
 #[cfg(feature = "images")]

@@ -17,8 +17,5 @@ const FEWEST: usize = 60;
 fn options() -> TrackerOptions {
     // One false detection in a window of some 50 pixels.
     let matcher = Matcher::default().with_detection_probability(0.8).with_clutter_density(0.02);
-    // The robot's turn accelerates by 1.5 rad/s^2, which moves all points of the image.
-    let acceleration = simulator::FOCAL * simulator::ACCELERATIONS[1];
-    let image = ImageExtent::new(simulator::WIDTH, simulator::HEIGHT);
-    TrackerOptions::new(image).with_acceleration_sigma(acceleration).with_matcher(matcher)
+    TrackerOptions::new(ImageExtent::new(simulator::WIDTH, simulator::HEIGHT)).with_matcher(matcher)
 }

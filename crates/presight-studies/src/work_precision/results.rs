@@ -14,7 +14,7 @@ pub struct Row {
     pub engine: String,
     /// The path of this engine.
     pub variant: String,
-    /// The kind of error: see the table of [`to_html`].
+    /// The kind of error: see the table of [`to_html`](super::to_html).
     pub error_kind: &'static str,
     /// The error, in the unit of its kind; the worst over all poses.
     pub error: f64,
