@@ -172,7 +172,7 @@ impl<'a> ChangeBatch<'a> {
     /// log, and true if it is new.
     ///
     /// # Errors
-    /// As [`Batch::apply_line`].
+    /// As [`ChangeBatch::apply_line`].
     pub fn apply_proposed(&mut self, change: &ProposedChange, note: &Note) -> Result<(u64, bool)> {
         self.apply_parsed(change.parsed()?, Path::new("."), note)
     }
