@@ -141,6 +141,8 @@ pub fn room_for(bytes: Option<u64>) -> PyResult<()> {
     let remedy = "take fewer poses at a time: predict_chunks gives them in parts";
     match bytes.filter(|bytes| *bytes <= isize::MAX as u64) {
         None => Err(PyMemoryError::new_err(format!("the arrays are larger than any memory; {remedy}"))),
-        Some(bytes) => tools::require_memory(bytes).map_err(|e| PyMemoryError::new_err(format!("{}; {remedy}", e.what()))),
+        Some(bytes) => {
+            tools::require_memory(bytes).map_err(|e| PyMemoryError::new_err(format!("{}; {remedy}", e.what())))
+        }
     }
 }

@@ -58,7 +58,9 @@ fn _batch_seconds(
         }
         let start = Instant::now();
         predictor.with(|predictor| {
-            predictor.batch(&world, sensor, poses, &request)?.try_for_each(|item| item.map(drop))?;
+            predictor
+                .batch(&world, sensor, poses.into_iter().map(presight::SensorPose::new), &request)?
+                .try_for_each(|item| item.map(drop))?;
             Ok(())
         })?;
         Ok(start.elapsed().as_secs_f64())
