@@ -27,7 +27,8 @@ impl NpyStack {
     /// if `until` is `None`, starts a new one and returns false.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::System`] if the file cannot be written; [`presight_model::ErrorKind::Usage`] for a device or pipe.
+    /// [`presight_model::ErrorKind::System`] if the file cannot be written; [`presight_model::ErrorKind::Usage`] for a
+    /// device or pipe.
     pub fn open(
         path: &Path,
         poses: usize,
@@ -69,7 +70,8 @@ impl NpyStack {
     /// Writes an image of one pose; nothing if the images lack it.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Invalid`] for an image of another size or type; [`presight_model::ErrorKind::System`] for I/O errors.
+    /// [`presight_model::ErrorKind::Invalid`] for an image of another size or type;
+    /// [`presight_model::ErrorKind::System`] for I/O errors.
     pub fn put_image(&mut self, pose: usize, images: &Images, output: Output) -> Result<()> {
         Values::of(images, output).map_or(Ok(()), |values| self.put(pose, values))
     }
@@ -77,7 +79,8 @@ impl NpyStack {
     /// Writes the values of one pose.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Invalid`] for an image of another size or type; [`presight_model::ErrorKind::System`] for I/O errors.
+    /// [`presight_model::ErrorKind::Invalid`] for an image of another size or type;
+    /// [`presight_model::ErrorKind::System`] for I/O errors.
     fn put(&mut self, pose: usize, values: Values<'_>) -> Result<()> {
         if values.descr() != self.descr || 4 * values.count() as u64 != self.bytes_per_pose {
             let what = format!("an image of {} {} does not fit the array", values.count(), values.descr());

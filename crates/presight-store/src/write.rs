@@ -65,8 +65,8 @@ pub(super) struct Entry {
     pub undoes: Option<u64>,
 }
 
-/// Changes that become durable together, by [`ChangeBatch::commit`]. If the batch is dropped before that, or a write fails,
-/// the world and the store return to their state before the batch.
+/// Changes that become durable together, by [`ChangeBatch::commit`]. If the batch is dropped before that, or a write
+/// fails, the world and the store return to their state before the batch.
 pub struct ChangeBatch<'a> {
     store: &'a mut Store,
     /// True while there are uncommitted changes.
@@ -162,8 +162,8 @@ impl<'a> ChangeBatch<'a> {
     /// log, and true if it is new.
     ///
     /// # Errors
-    /// As [`ChangeBatch::apply`], where restored features must also lie on polygons; [`presight_model::ErrorKind::Invalid`]
-    /// if the line is not a valid change.
+    /// As [`ChangeBatch::apply`], where restored features must also lie on polygons;
+    /// [`presight_model::ErrorKind::Invalid`] if the line is not a valid change.
     pub fn apply_line(&mut self, line: &str, folder: &Path, note: &Note) -> Result<(u64, bool)> {
         self.apply_parsed(Line::parse(line)?, folder, note)
     }

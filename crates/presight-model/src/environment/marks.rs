@@ -11,7 +11,8 @@ crate::words! {
     /// The statement of a mark.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub enum MarkKind {
-        /// It may or may not be there. It is predicted; verdicts on it are `undecidable`, and estimates give it no weight.
+        /// It may or may not be there. It is predicted; verdicts on it are `undecidable`, and estimates give it no
+        /// weight.
         Uncertain = "uncertain",
         /// It is not there for sensors of the mark's class, and is not predicted for them.
         Absent = "absent",

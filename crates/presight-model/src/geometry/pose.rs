@@ -87,8 +87,8 @@ impl Pose {
         Err(Error::new(kind, format!("the pose {:?} {rule}", self.to_array()), remedy))
     }
 
-    /// From x, y, z and roll, pitch, yaw in degrees about fixed axes, or x, y, z, qx, qy, qz, qw. A quaternion of length 1
-    /// keeps its bits, so that a written pose reads back equal; any other is normalized.
+    /// From x, y, z and roll, pitch, yaw in degrees about fixed axes, or x, y, z, qx, qy, qz, qw. A quaternion of
+    /// length 1 keeps its bits, so that a written pose reads back equal; any other is normalized.
     ///
     /// # Errors
     /// [`ErrorKind::Invalid`] for another count of numbers, and as [`Pose::new`].

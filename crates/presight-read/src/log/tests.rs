@@ -43,13 +43,14 @@ proptest! {
     ) {
         let odometry = moved.map(|[x, y, yaw]| Pose::from_xyz_rpy(DVec3::new(x, y, 0.1), 0.2, 0.3, yaw));
         let intensities = bright.map(|all| all.to_vec());
-        let frame = LogFrame { time, range: range.to_vec(), intensities, odometry, reference: odometry.map(RobotPose::new) };
+        let reference = odometry.map(RobotPose::new);
+        let frame = LogFrame { time, range: range.to_vec(), intensities, odometry, reference };
         let read = frames(&log(&[&lines::line(&frame).unwrap(), ""])).unwrap();
         prop_assert_eq!(read.len(), 1);
         let bits = |all: &[f32]| all.iter().map(|r| if r.is_nan() { 0 } else { r.to_bits() }).collect::<Vec<_>>();
         let kept = |f: &LogFrame| (bits(&f.range), f.intensities.as_deref().map(bits));
         prop_assert_eq!(kept(&read[0]), kept(&frame));
-        prop_assert_eq!((read[0].time, read[0].odometry, read[0].reference), (time, odometry, odometry.map(RobotPose::new)));
+        prop_assert_eq!((read[0].time, read[0].odometry, read[0].reference), (time, odometry, reference));
     }
 }
 

@@ -27,8 +27,8 @@ use presight_model::limits::LISTED_PROBLEMS;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::time::Duration;
 
-/// Ratio of the time left to the expected time above which the image is not thinned, and a wave is drawn without reading
-/// the clock.
+/// Ratio of the time left to the expected time above which the image is not thinned, and a wave is drawn without
+/// reading the clock.
 pub(crate) const PLENTY: f64 = 8.0;
 
 /// An engine that supports deadlines, as the key for learnt costs.

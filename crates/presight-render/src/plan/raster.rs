@@ -16,8 +16,8 @@ presight_model::words! {
         /// Spans in compute shaders, for every sensor.
         #[default]
         Compute = "compute",
-        /// The hardware rasterizer for pinhole cameras. Compute spans draw all other sensors, polygons that it cannot draw
-        /// exactly, predictions with a deadline, and everything on adapters without the required features.
+        /// The hardware rasterizer for pinhole cameras. Compute spans draw all other sensors, polygons that it cannot
+        /// draw exactly, predictions with a deadline, and everything on adapters without the required features.
         Render = "render",
     }
 }
