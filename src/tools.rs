@@ -1,4 +1,4 @@
-//! What a program around presight needs besides predictions: files that appear whole, limits, memory, threads and text.
+//! Tools for programs around presight: files that appear whole, limits, memory, threads and text.
 
 #[doc(inline)]
 pub use presight_model::limits::{

@@ -15,7 +15,7 @@ pub(crate) struct Picture(DynamicImage);
 
 #[cfg(feature = "images")]
 impl Picture {
-    /// Reads a PNG whose width and height `fits` accepts. It is asked before decoding, because a small file may claim a
+    /// Reads a PNG whose width and height `fits` accepts. The size is checked before decoding, because a small file may claim a
     /// huge image.
     ///
     /// # Errors

@@ -25,7 +25,7 @@ fn localize(place: &Place, log: &str, flags: &str) -> Outcome {
     place.run(&format!("localize {log} --map corridor.glb --init unknown {flags} --out a.tum"))
 }
 
-/// Poses within 0.1 mm and 0.001 degrees of those of the JSON log, from MCAP, from SQLite and from a split bag.
+/// Bags in MCAP, in SQLite and in two files give the poses of the JSON log within 0.1 mm and 0.001 degrees.
 #[test]
 fn a_bag_gives_the_poses_of_the_same_scans_in_json() {
     let Some((place, bags)) = corridor() else { return };
