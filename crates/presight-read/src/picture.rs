@@ -15,8 +15,8 @@ pub(crate) struct Picture(DynamicImage);
 
 #[cfg(feature = "images")]
 impl Picture {
-    /// Reads a PNG whose width and height `fits` accepts. The size is checked before decoding, because a small file may claim a
-    /// huge image.
+    /// Reads a PNG whose width and height `fits` accepts. The size is checked before decoding, because a small file may
+    /// claim a huge image.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] naming the defect; the errors of `fits`;
