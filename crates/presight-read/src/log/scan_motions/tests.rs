@@ -3,7 +3,7 @@ use super::*;
 use crate::tum::StampedPose;
 use glam::DVec3;
 use presight_model::geometry::RobotPose;
-use presight_model::sensor::{Angles, Geometry, RayTimes, Scanner, Sensor, SensorSpec, StampAt};
+use presight_model::sensor::{Angles, Geometry, RayTimes, Scanner, SensorSpec, StampAt};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 const BEAMS: u32 = 360;
