@@ -6,6 +6,7 @@ use super::{CommandOutcome, open_scene};
 use presight::environment::IndexKind;
 use presight::files::{self, ImportOptions, LogFrame, StampedPose, load_sensor};
 use presight::measured::Frame;
+use presight::sensor::RayTimes;
 use presight::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
 use presight::tools::{create_folder, write_atomically};
 use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads};
@@ -164,12 +165,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 
 /// The sensor with all of its columns measured at the stamp, which is how they are simulated.
 fn at_once(sensor: Sensor) -> Result<Sensor> {
-    if sensor.spec().turn_s == 0.0 {
+    if sensor.spec().times.is_at_once() {
         return Ok(sensor);
     }
     let what = "each scan is simulated as if the robot stood still while it is measured: turn_s is left out of the log";
     super::print::notices(&[what.to_owned()]);
-    Sensor::new(sensor.spec().clone().with_turn_s(0.0))
+    Sensor::new(sensor.spec().clone().with_times(RayTimes::AtOnce))
 }
 
 fn write_text(path: &Path, text: &str) -> Result<()> {

@@ -34,7 +34,6 @@ pub use residuals::{Figure, Misfit, Residuals};
 use rivals::Rivals;
 pub use search::{Candidate, Search, SearchOptions};
 use timing::{Timing, stamps_of};
-pub use turning::at_once;
 pub use velocity::{MotionNoise, Stamps, Velocity, along, rate};
 
 use crate::estimate::{Estimate, Estimator, Freedom};

@@ -1,7 +1,7 @@
 //! Planar laser scans in the form of public data sets: one JSON object with a list `scans`.
 //!
 //! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_min` (default 0),
-//! `range_max`, `range_std`, `turn_s` (seconds of a scan, see [`SensorSpec::turn_s`]; default 0), `sensor_on_robot` {x,
+//! `range_max`, `range_std`, `turn_s` (seconds of a scan, see [`RayTimes::Columns`]; default 0), `sensor_on_robot` {x,
 //! y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`, `range_max`. Keys of a scan:
 //! `ranges` (metres, and the other readings of [`super::lines`]), and optionally `valid` (a digit for each beam, 1 for
 //! a reading), `t` (seconds; default: the index of the scan), `odometry_increment` [x, y, yaw] and the robot's pose {x,
@@ -14,7 +14,7 @@ use glam::DVec3;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, RobotPose};
 use presight_model::limits;
-use presight_model::sensor::{Angles, Geometry, Noise, SAME_ANGLE, Scanner, Sensor, SensorSpec};
+use presight_model::sensor::{Angles, Geometry, Noise, RayTimes, SAME_ANGLE, Scanner, Sensor, SensorSpec, StampAt};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -169,7 +169,8 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
     let elevation = Angles::Uniform { start_deg: 0.0, step_deg: 0.0, count: 1 };
     let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
     let noise = Noise { range_sigma: file.range_std.unwrap_or(0.0), ..Noise::default() };
-    let spec = SensorSpec::new(name, "laser", Geometry::Scanner(scanner)).with_turn_s(file.turn_s.unwrap_or(0.0));
+    let spec = SensorSpec::new(name, "laser", Geometry::Scanner(scanner));
+    let spec = spec.with_times(RayTimes::turning(file.turn_s.unwrap_or(0.0), StampAt::First));
     Ok(spec.with_limits(file.range_min.unwrap_or(0.0), range_max).with_mount(mount).with_noise(noise))
 }
 
