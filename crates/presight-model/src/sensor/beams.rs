@@ -33,8 +33,8 @@ pub struct BeamTable {
     pub elevations_deg: Vec<f64>,
     /// Azimuth of each row's beam against the head, degrees, counter-clockwise.
     pub azimuth_offsets_deg: Vec<f64>,
-    /// The point at which the beam of each row leaves the sensor, metres, in the frame of the head: x along its azimuth,
-    /// z along its axis. A single one holds for all rows.
+    /// The point at which the beam of each row leaves the sensor, metres, in the frame of the head: x along its
+    /// azimuth, z along its axis. A single one holds for all rows.
     pub origins: Vec<DVec3>,
     /// Ranges are measured from this many metres behind that point, along the ray. [`RayTable::origins`] are the points
     /// from which ranges are measured.
@@ -43,7 +43,7 @@ pub struct BeamTable {
     pub time_offsets_s: Vec<f64>,
     /// Columns by which each row moves to the right in a destaggered image.
     pub shifts: Vec<i32>,
-    /// Whether the rows of the image are moved by `shifts`.
+    /// True if the rows of the image are moved by `shifts`.
     pub is_destaggered: bool,
     /// The first and the last column with rays, before rows move. The first may be the greater one: the columns then
     /// lie at both ends of the image. `None`: all columns.
@@ -61,7 +61,7 @@ pub struct BeamTable {
 const MANY_ROWS: usize = 16;
 
 impl BeamTable {
-    /// Beams from one centre at the azimuths of the columns, all fired at once.
+    /// Beams from one centre at the azimuths of the columns, all measured at the stamp.
     pub fn new(azimuth: Angles, elevations_deg: Vec<f64>) -> Self {
         Self {
             azimuth,
@@ -99,8 +99,7 @@ impl BeamTable {
         let (columns, rows) = (self.azimuth.len(), self.elevations_deg.len());
         let side = 1..=limits::MAX_IMAGE_SIDE as usize;
         if !side.contains(&columns) || !side.contains(&rows) || (columns * rows) as u64 > limits::MAX_PIXELS {
-            let remedy =
-                format!("give sides of 1 to {} and at most {} pixels", side.end(), limits::MAX_PIXELS);
+            let remedy = format!("give sides of 1 to {} and at most {} pixels", side.end(), limits::MAX_PIXELS);
             return Err(Error::invalid(format!("image of {columns} x {rows} pixels"), remedy));
         }
         let lengths = [
@@ -173,14 +172,15 @@ impl BeamTable {
         }
     }
 
-    /// Where each ray starts and points, row by row, body axes.
+    /// Directions of the rays and the points at which they leave the sensor, row by row, body axes. Rays from the
+    /// sensor's own origin have no points.
     fn rays(&self) -> (Vec<DVec3>, Vec<DVec3>) {
         let (columns, rows) = self.size();
         let turns: Vec<[f64; 2]> = (0..columns as usize).map(|c| cos_sin_deg(self.azimuth.degrees(c))).collect();
         let pixels = columns as usize * rows as usize;
-        let (mut directions, mut origins) = (Vec::with_capacity(pixels), Vec::new());
+        let (mut directions, mut starts) = (Vec::with_capacity(pixels), Vec::new());
         let is_moved = self.body_from_head.translation != DVec3::ZERO;
-        let has_origins = is_moved || !self.origins.is_empty() || self.range_lead != 0.0;
+        let has_starts = is_moved || !self.origins.is_empty() || self.range_lead != 0.0;
         for row in 0..rows as usize {
             let [cos_up, sin_up] = cos_sin_deg(self.elevations_deg[row]);
             let offset = self.azimuth_offsets_deg.get(row).copied().unwrap_or(0.0);
@@ -190,27 +190,25 @@ impl BeamTable {
                 let d_in_head = DVec3::new(cos_up * cos, cos_up * sin, sin_up);
                 let direction = self.rotated(d_in_head);
                 directions.push(if self.has_ray(column) { direction } else { DVec3::NAN });
-                if has_origins {
-                    let o = self.origins.get(if self.origins.len() == 1 { 0 } else { row }).copied().unwrap_or_default();
+                if has_starts {
+                    let o =
+                        self.origins.get(if self.origins.len() == 1 { 0 } else { row }).copied().unwrap_or_default();
                     let [cos, sin] = turns[column as usize];
                     let o_in_head = DVec3::new(cos * o.x - sin * o.y, sin * o.x + cos * o.y, o.z);
-                    let left = self.rotated(o_in_head) + self.body_from_head.translation;
-                    origins.push(left - self.range_lead * direction);
+                    starts.push(self.rotated(o_in_head) + self.body_from_head.translation);
                 }
             }
         }
-        (directions, origins)
+        (directions, starts)
     }
 
     /// A vector of the head's frame in body axes; the same bits where they are the same axes.
     fn rotated(&self, v: DVec3) -> DVec3 {
-        match self.body_from_head.rotation {
-            DQuat::IDENTITY => v,
-            rotation => rotation * v,
-        }
+        let rotation = self.body_from_head.rotation;
+        if rotation == DQuat::IDENTITY { v } else { rotation * v }
     }
 
-    /// When each ray is measured. A table whose columns are measured at once keeps [`RayTimes::Columns`].
+    /// The times of the rays: [`RayTimes::Columns`] if each column has one time, otherwise a list.
     pub fn times(&self) -> RayTimes {
         let rows_differ = self.is_destaggered || self.time_offsets_s.iter().any(|t| *t != 0.0);
         match (self.turn_s, rows_differ) {
@@ -238,13 +236,18 @@ impl RayTable {
     pub fn of_beams(beams: BeamTable) -> Result<Self> {
         beams.check()?;
         let (columns, rows) = beams.size();
-        memory::require(2 * u64::from(columns) * u64::from(rows) * size_of::<DVec3>() as u64)?;
-        let (directions, origins) = beams.rays();
+        memory::require(3 * u64::from(columns) * u64::from(rows) * size_of::<DVec3>() as u64)?;
+        let (directions, starts) = beams.rays();
         let mut table = Self::new(columns, rows, directions)?;
-        if !origins.is_empty() {
+        if !starts.is_empty() {
+            let rays = starts.iter().zip(table.directions());
+            // A pixel without a ray has no direction.
+            let origin =
+                |(start, d): (&DVec3, &DVec3)| if d.is_nan() { *start } else { *start - beams.range_lead * *d };
+            let origins = rays.map(origin).collect();
             table = table.with_origins(origins)?;
         }
-        Ok(table.with_beams(Arc::new(beams)))
+        Ok(table.with_beams(Arc::new(beams), starts))
     }
 }
 
@@ -289,6 +292,7 @@ mod tests {
         assert!(table.directions()[1].distance(direction) < 1e-15);
         let origin = DVec3::new(0.0, -0.1 + 0.04 * 0.75f64.sqrt(), 0.22);
         assert!(table.origins().unwrap()[1].distance(origin) < 1e-15);
+        assert!(table.starts().unwrap()[1].distance(DVec3::new(0.0, -0.1, 0.2)) < 1e-15 && table.range_lead() == 0.04);
         // With an offset of 90 degrees counter-clockwise the beam points along +x, and still starts where it did.
         beams.azimuth_offsets_deg = vec![90.0];
         beams.range_lead = 0.0;
