@@ -12,7 +12,7 @@ use check::{check_world, near_unit, sound_sensor};
 use presight_cli::pose::parse_pose;
 use presight_files::{corridor, exr};
 use presight_model::geometry::Pose;
-use presight_model::sensor::{Sensor, SensorSpec};
+use presight_model::sensor::SensorSpec;
 use presight_read::{beams, camera_info, layer, log, materials, pose_covariance, sensor_toml, tum};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -145,7 +145,7 @@ fn sound_beams(spec: &SensorSpec) -> bool {
     if u64::from(width) * u64::from(height) < 2048 {
         return sound_sensor(spec);
     }
-    let sound = Sensor::new(spec.clone()).is_ok();
+    let sound = presight::Sensor::new(spec.clone()).is_ok();
     assert!(
         !sound || sensor_toml::parse(&sensor_toml::to_string(spec), "other", None).is_ok_and(|again| again == *spec)
     );
