@@ -147,7 +147,7 @@ pub struct Drive {
     pub threads: usize,
 }
 
-/// The measurements at one time.
+/// The measurements at one time, with the motion of the robot that the localizer found for them.
 pub struct Sensed<'a> {
     /// Ranges, or a grey image in a log of grey images only.
     pub frame: &'a Frame,
@@ -299,7 +299,7 @@ impl Drive {
             let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
             let others = logs_beside.iter_mut().filter_map(|log| log.next_at(frame.stamp).transpose());
             let others = others.map(|other| other.and_then(|o| self.thinned(o))).map(|o| o.map(|o| o.frame));
-            let others = others.collect::<Result<Vec<Frame>>>()?;
+            let mut others = others.collect::<Result<Vec<Frame>>>()?;
             let beside: Vec<&Frame> = grey.iter().chain(&others).collect();
             let place = |e: Error| e.at(format!("the frame at {} s", frame.stamp)).in_file(&self.log);
             let mut step = localizer.step_together(&scene.world, &frame, &beside).map_err(place)?;
@@ -318,7 +318,9 @@ impl Drive {
                 (phase, _) => phase.name(),
             });
             progress.inc(1);
-            visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref(), beside: &others }, &step)?;
+            others.iter_mut().for_each(|other| *other = step.moving(other).into_owned());
+            let sensed = Sensed { frame: &step.moving(&frame), grey: grey.as_ref(), beside: &others };
+            visit(&scene, &sensed, &step)?;
             followed.features.push(FeatureCounts::of(&step.estimate.findings));
             step.estimate.findings.clear();
             followed.counts.push(verdict_counts(&step));

@@ -94,11 +94,20 @@ pub struct FrameAtMoment<'a> {
 impl FrameAtMoment<'_> {
     /// The robot's pose at the moment, from its pose at the stamp of the scan.
     pub fn robot(&self, at_stamp: &PoseEstimate) -> PoseEstimate {
-        at_stamp.after(&self.stamp_from_moment)
+        // A frame with one pose changes no bit.
+        if self.stamp_from_moment == Pose::IDENTITY { *at_stamp } else { at_stamp.after(&self.stamp_from_moment) }
+    }
+
+    /// The robot's pose at the stamp of the scan, from its pose at the moment.
+    pub fn robot_at_stamp(&self, at_moment: &PoseEstimate) -> PoseEstimate {
+        at_moment.after(&self.stamp_from_moment.inverse())
     }
 
     /// The sensor's pose at the moment, from its pose at the stamp of the scan.
     pub fn sensor(&self, at_stamp: &SensorPose) -> SensorPose {
+        if self.stamp_from_moment == Pose::IDENTITY {
+            return *at_stamp;
+        }
         let mount = self.frame.sensor().spec().mount;
         SensorPose::new(at_stamp.world_from_sensor() * mount.inverse() * self.stamp_from_moment * mount)
     }
