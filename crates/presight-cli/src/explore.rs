@@ -234,7 +234,12 @@ impl Args {
 
     /// Adds the frames of a log that have a pose.
     fn add(&self, log: &Path, sensor: Option<&Sensor>, poses: Option<&[StampedPose]>, views: &mut Views) -> Result<()> {
-        let mut frames = LogFrames::open_with(log, sensor, &Default::default(), &self.bag.options()?)?;
+        let frames = LogFrames::open_with(log, sensor, &Default::default(), &self.bag.options()?)?;
+        // The poses that place the scans also say how the robot moved meanwhile.
+        let mut frames = match poses {
+            None => frames.moving_by_reference(),
+            Some(poses) => frames.moving_along(poses)?,
+        };
         let is_planar = frames.has_planar_poses();
         let (mut without, mut count, mut steps) = (0, 0, Vec::new());
         let mut before: Option<(f64, Pose)> = None;

@@ -17,6 +17,8 @@ use beside::LogBeside;
 use features::{not_sought, not_sought_in_scans};
 use indicatif::ProgressBar;
 use presight::environment::IndexKind;
+#[cfg(feature = "store")]
+use presight::files::StampedPose;
 use presight::files::{DepthFolder, ImportOptions, LogFrames, Observation, load_sensor};
 use presight::localize::{Estimator, Freedom, Phase, Step};
 use presight::measured::Frame;
@@ -205,7 +207,8 @@ impl Drive {
         followed
     }
 
-    /// Reads the log without following it. Calls `visit` with each frame, and with its pose if the log has one.
+    /// Reads the log without following it. Calls `visit` with each frame, and with its pose if the log has one. The motion
+    /// during scans is that of a trajectory, if one is given.
     ///
     /// # Errors
     /// Errors from reading the log, map and sensor, and from `visit`.
@@ -213,10 +216,15 @@ impl Drive {
     pub fn read(
         &self,
         scene: &Scene,
+        trajectory: Option<&[StampedPose]>,
         mut visit: impl FnMut(&Scene, &Frame, Option<RobotPose>) -> Result<()>,
     ) -> Result<()> {
         self.check()?;
-        for observation in self.observations(&mut self.opened()?, None) {
+        let mut log = self.opened()?;
+        if let Some(poses) = trajectory {
+            log = log.moving_along(poses)?;
+        }
+        for observation in self.observations(&mut log, None) {
             let Observation { frame, reference } = observation?;
             visit(scene, &frame, reference)?;
         }

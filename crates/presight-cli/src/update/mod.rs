@@ -306,7 +306,7 @@ fn follow_known(
     seen: &mut Seen,
 ) -> Result<()> {
     let mut without = 0;
-    drive.read(scene, |scene, frame: &Frame, _| {
+    drive.read(scene, Some(poses), |scene, frame: &Frame, _| {
         seen.last = frame.stamp;
         seen.add(frame);
         let at = poses.iter().min_by(|a, b| (a.time - frame.stamp).abs().total_cmp(&(b.time - frame.stamp).abs()));
