@@ -202,8 +202,7 @@ impl Drive {
         files.check_named(self.robot.iter().map(|(log, _)| log.as_path()))?;
         let mut log = self.opened()?;
         let followed = self.follow_log(&mut log, files, resumed, visit);
-        let notices = log.notices();
-        print::notices(&notices.iter().map(|notice| format!("{}: {notice}", self.log.display())).collect::<Vec<_>>());
+        self.print_notices(&log);
         followed
     }
 
@@ -222,13 +221,22 @@ impl Drive {
         self.check()?;
         let mut log = self.opened()?;
         if let Some(poses) = trajectory {
-            log = log.moving_along(poses)?;
+            log = log.moving_along(poses).map_err(|e| e.at("--poses"))?;
         }
         for observation in self.observations(&mut log, None) {
             let Observation { frame, reference } = observation?;
             visit(scene, &frame, reference)?;
         }
+        if trajectory.is_some() {
+            self.print_notices(&log);
+        }
         Ok(())
+    }
+
+    /// Prints what the readings of the log were taken as, and what is unknown of its scans.
+    fn print_notices(&self, log: &LogFrames) {
+        let notices = log.notices();
+        print::notices(&notices.iter().map(|notice| format!("{}: {notice}", self.log.display())).collect::<Vec<_>>());
     }
 
     /// Opens the log with its sensor.
