@@ -189,7 +189,9 @@ fn write_scans(
         let mut file = BufWriter::new(file);
         writeln!(file, "{}", files::range_log_header(sensor.spec()))?;
         for pose in poses {
-            match next(pose).and_then(|frame| files::range_log_line(&log_frame(&frame, pose))) {
+            match next(pose)
+                .and_then(|frame| files::range_log_line(&LogFrame::of(&frame, Some(RobotPose::new(pose.pose)))))
+            {
                 Ok(line) => writeln!(file, "{line}")?,
                 Err(e) => {
                     failed = Some(e);
@@ -200,16 +202,6 @@ fn write_scans(
         file.flush()
     });
     failed.map_or(written, Err)
-}
-
-fn log_frame(frame: &Frame, pose: &StampedPose) -> LogFrame {
-    LogFrame {
-        time: frame.stamp,
-        range: frame.ranges().to_vec(),
-        intensities: frame.intensities().map(|i| i.values().to_vec()),
-        odometry: frame.motion.map(|m| m.previous_from_current),
-        reference: Some(RobotPose::new(pose.pose)),
-    }
 }
 
 /// Writes the images of one time.

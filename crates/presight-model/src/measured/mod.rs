@@ -9,8 +9,9 @@ mod motion;
 mod noise;
 mod range_grid;
 
+pub use deskew::FrameAtMoment;
 pub use grey::GreyImage;
-pub use motion::ScanMotion;
+pub use motion::{MAX_POSE_GAP_S, ScanMotion};
 pub use noise::RangeNoise;
 pub use range_grid::{RangeGrid, range_grid};
 
