@@ -51,7 +51,7 @@ impl Converter {
         limits: Option<(f64, f64)>,
         times: RayTimes,
     ) -> Result<Sensor> {
-        let mut spec = match &self.given {
+        let spec = match &self.given {
             Some(given) => given.spec().clone().with_geometry(geometry),
             None => {
                 let spec = SensorSpec::new(name, class, geometry);
@@ -61,7 +61,7 @@ impl Converter {
                 }
             }
         };
-        spec = spec.with_times(times).with_mount(self.mount);
+        let spec = spec.with_times(times).with_mount(self.mount);
         if let Some(sensor) = self.sensor.as_ref().filter(|s| *s.spec() == spec) {
             return Ok(sensor.clone());
         }

@@ -172,13 +172,13 @@ impl BagFrames {
         let (Some(sensor), Some(odom)) = (sensor, &self.choice.odom) else { return Ok(None) };
         let interval = sensor.scan_interval();
         self.base_in(odom, span_ns(stamp, interval).1)?;
-        let Ok((motion, reaches)) = of_scan(&self.tree, (odom, &self.choice.base), stamp, interval) else {
+        let Ok((motion, reaches)) = of_scan(&self.tree, (odom.as_str(), self.choice.base.as_str()), stamp, interval)
+        else {
             return Ok(None);
         };
         if !reaches {
-            self.converter.add_notice(
-                "the odometry does not reach over every scan: there the motion between its two poses nearest to the scan is taken",
-            );
+            let what = "the odometry does not reach over every scan: the motion between its two poses nearest to a scan is taken";
+            self.converter.add_notice(what);
         }
         Ok(Some(motion))
     }
