@@ -7,12 +7,16 @@ mod deskew;
 mod grey;
 mod motion;
 mod noise;
+mod poses;
 mod range_grid;
+mod trajectory;
 
 pub use grey::GreyImage;
 pub use motion::ScanMotion;
 pub use noise::RangeNoise;
+pub use poses::ScanPoses;
 pub use range_grid::{RangeGrid, range_grid};
+pub use trajectory::Trajectory;
 
 use crate::error::{Error, Result};
 use crate::geometry::{InRobot, Pose, PoseCovariance};

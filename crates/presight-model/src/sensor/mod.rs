@@ -1,5 +1,6 @@
 //! Sensors: image geometry, range limits, class and mount.
 
+mod bundles;
 mod camera;
 mod cone_tree;
 mod direction_map;
@@ -19,6 +20,7 @@ mod scanner;
 mod times;
 mod undistort;
 
+pub use bundles::Bundles;
 pub use camera::Camera;
 pub use cone_tree::ConeTree;
 pub use direction_map::DirectionMap;
@@ -201,6 +203,8 @@ struct SensorData {
     directory: OnceLock<Directory>,
     /// Built on first use.
     tiles: OnceLock<RayTiles>,
+    /// Of a sensor that stands, and of one that moves; built on first use.
+    bundles: [OnceLock<Bundles>; 2],
 }
 
 impl Sensor {
@@ -227,7 +231,9 @@ impl Sensor {
         let (width, height) = spec.geometry.size();
         let projector = Projector::new(&spec);
         let (part, thinned, directory, tiles) = (None, Thinned::default(), OnceLock::new(), OnceLock::new());
-        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height, part, thinned, directory, tiles })))
+        let bundles = Default::default();
+        let data = SensorData { spec, grid, projector, width, height, part, thinned, directory, tiles, bundles };
+        Ok(Self(Arc::new(data)))
     }
 
     /// The specification from which the sensor was made.
@@ -313,6 +319,19 @@ impl Sensor {
     /// Seconds from the stamp of a frame to its earliest ray and to its latest.
     pub fn scan_interval(&self) -> [f64; 2] {
         self.spec().times.interval(self.spec().geometry.size())
+    }
+
+    /// The rays in bundles of one origin, and of one time too if the sensor moves; built on the first call.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if there is no memory for them.
+    #[doc(hidden)]
+    pub fn bundles(&self, moves: bool) -> Result<&Bundles> {
+        let slot = &self.0.bundles[usize::from(moves)];
+        if slot.get().is_none() {
+            let _ = slot.set(Bundles::new(self, moves)?);
+        }
+        Ok(slot.get().expect("they were set"))
     }
 
     /// Arrangement of rays in tiles, without building any.

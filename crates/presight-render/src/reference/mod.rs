@@ -59,7 +59,12 @@ pub fn render_pixels(
     pixels: impl Iterator<Item = (u32, u32)>,
 ) -> Result<RenderCounts> {
     plan.world_from_sensor.check()?;
-    let (hits, counts) = cast(plan, pixels);
+    let (mut hits, mut counts) = (Vec::new(), RenderCounts::default());
+    for (plan, pixels) in plan.by_bundle(pixels, |pixel| *pixel) {
+        let (own, more) = cast(&plan, pixels.into_iter());
+        hits.extend(own);
+        counts = RenderCounts { polygons: counts.polygons + more.polygons, edge_on: counts.edge_on + more.edge_on };
+    }
     let asked = plan.drawn();
     let outputs = if plan.sensor.is_camera() { asked } else { asked.without(Output::DepthZ) };
     images.prepare(plan.sensor.width(), plan.sensor.height(), outputs);
