@@ -53,9 +53,11 @@ impl Localizer {
         let thin = self.thinned_for_search(frame)?;
         let whole = thin.as_ref().unwrap_or(frame);
         let still = if half > 0.0 { Some(self.put_to_middle(world, whole)?) } else { None };
+        let (still, motion) = still.unzip();
         let step = self.step_at_once(world, still.as_ref().unwrap_or(whole), beside);
         self.estimator.set_twist_error([[0.0; 6]; 6]);
         let mut step = step?;
+        step.scan_motion = motion;
         if let Some(thin) = &thin {
             // Verdicts of these pixels would not fit the frame.
             step.estimate.verdicts.clear();
@@ -110,7 +112,7 @@ impl Localizer {
 
     /// A scan as from the middle of its turn. The motion of the turn is not known before the scan is matched: it is matched once with the
     /// last motion, and then put right with the one that this leads to. The estimator then receives the covariance of the remaining error.
-    fn put_to_middle(&mut self, world: &World, frame: &Frame) -> Result<Frame> {
+    fn put_to_middle(&mut self, world: &World, frame: &Frame) -> Result<(Frame, ScanMotion)> {
         let (freedom, (middle, half)) = (self.estimator.options.freedom, middle_of(frame.sensor()));
         let (Some(stamp), Some(belief)) = (self.stamp, self.followed_pose()) else {
             return self.undone(frame, &self.velocity.clone(), half);
@@ -122,7 +124,7 @@ impl Localizer {
         let mut velocity = self.velocity.clone();
         let (_, prior) = velocity.carry(&belief, seconds, frame.motion.as_ref(), stamps_of(frame), freedom);
         let first = self.undone(frame, &velocity, half)?;
-        let estimate = self.estimator.refine(world, &first, &prior)?;
+        let estimate = self.estimator.refine(world, &first.0, &prior)?;
         if !estimate.is_determined() {
             return Ok(first);
         }
@@ -131,11 +133,12 @@ impl Localizer {
     }
 
     /// A scan without the motion of its turn, half a turn before and after the time that the velocity holds for.
-    fn undone(&mut self, frame: &Frame, velocity: &Velocity, half: f64) -> Result<Frame> {
+    fn undone(&mut self, frame: &Frame, velocity: &Velocity, half: f64) -> Result<(Frame, ScanMotion)> {
         let (twist, covariance) = velocity.within(-half, half);
         self.estimator.set_twist_error(covariance);
         let motion = ScanMotion::Twist(twist_of(&twist));
-        frame.clone().with_scan_motion(motion).deskewed(middle_of(frame.sensor()).0)
+        let still = frame.clone().with_scan_motion(motion.clone()).deskewed(middle_of(frame.sensor()).0)?;
+        Ok((still, motion))
     }
 
     /// Compares the motion between two frames in a row that were tracked with the odometry.

@@ -12,7 +12,7 @@ mod range_grid;
 mod trajectory;
 
 pub use grey::GreyImage;
-pub use motion::ScanMotion;
+pub use motion::{MAX_POSE_GAP_S, ScanMotion};
 pub use noise::RangeNoise;
 pub use poses::ScanPoses;
 pub use range_grid::{RangeGrid, range_grid};

@@ -1,12 +1,8 @@
 //! Trajectories: poses over time, from which the motion during each scan follows.
 
-use super::ScanMotion;
+use super::{MAX_POSE_GAP_S, ScanMotion};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-
-/// Longest time between two poses around a scan, seconds. Between poses so far apart, an acceleration of 1 m/s2 leads
-/// 3 cm beside the straight line, more than most lidars are off.
-const MAX_GAP_S: f64 = 0.5;
 
 /// No stamp in seconds is larger (the year 33,000); stamps in nanoseconds are.
 const MAX_STAMP_S: f64 = 1e12;
@@ -85,9 +81,9 @@ impl Trajectory {
         let from = poses.partition_point(|(t, _)| *t <= first.min(stamp)).clamp(1, poses.len() - 1) - 1;
         let to = poses.partition_point(|(t, _)| *t < last.max(stamp)).clamp(from + 1, poses.len() - 1);
         let knots = &poses[from..=to];
-        if let Some(pair) = knots.windows(2).find(|pair| pair[1].0 - pair[0].0 > MAX_GAP_S) {
+        if let Some(pair) = knots.windows(2).find(|pair| pair[1].0 - pair[0].0 > MAX_POSE_GAP_S) {
             let what = format!("the trajectory has no pose between {} s and {} s, during a scan", pair[0].0, pair[1].0);
-            return Err(Error::invalid(what, format!("give a pose at least every {MAX_GAP_S} s")));
+            return Err(Error::invalid(what, format!("give a pose at least every {MAX_POSE_GAP_S} s")));
         }
         Ok(knots)
     }
