@@ -7,7 +7,7 @@ use super::scene::Scene;
 use super::sensor::{Sensor, sensor_of};
 use presight::files::{LogFrames, Observation};
 use presight::localize::{
-    EstimateOptions, Estimator, Freedom, LocalizeOptions, Localizer as Ours, Search, SearchOptions,
+    EstimateOptions, Estimator, Freedom, LocalizeOptions, Localizer as Ours, Search, SearchOptions, Step as OurStep,
 };
 use presight::measured::{Frame as OurFrame, GreyImage, Measurement, Motion, OdometryNoise};
 use presight::tools;
@@ -259,48 +259,49 @@ impl Verdicts {
 
 /// Where the robot is after a frame.
 #[pyclass(frozen, module = "presight")]
-pub struct Step {
-    pose: PoseEstimate,
-    state: String,
-    reason: String,
-    time: f64,
-}
+pub struct Step(OurStep);
 
 #[pymethods]
 impl Step {
     /// The robot's pose in the world: (7,) x y z qx qy qz qw.
     #[getter]
     fn pose<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        array(py, pose_numbers(&self.pose.world_from_robot).to_vec(), &[7])
+        array(py, pose_numbers(&self.0.pose.world_from_robot).to_vec(), &[7])
     }
 
     /// Its covariance: (6, 6), x y z and rotations about x y z, along the world's axes, metres and radians.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        array(py, self.pose.covariance.as_rows().as_flattened().to_vec(), &[6, 6])
+        array(py, self.0.pose.covariance.as_rows().as_flattened().to_vec(), &[6, 6])
     }
 
     /// The name of the localizer's state, such as "tracking". The guide on localization says in which states the pose is known.
     #[getter]
-    fn state(&self) -> &str {
-        &self.state
+    fn state(&self) -> &'static str {
+        self.0.phase.name()
     }
 
     /// Why, with numbers.
     #[getter]
     fn reason(&self) -> &str {
-        &self.reason
+        &self.0.reason
     }
 
     /// The frame's time, seconds.
     #[getter]
     fn time(&self) -> f64 {
-        self.time
+        self.0.stamp
+    }
+
+    /// A frame of this step with the motion of the robot that was found for its scan, if the scan takes time: `Predictor.verdicts`
+    /// then compares what the localizer compared.
+    fn moving(&self, frame: &Bound<'_, Frame>) -> Frame {
+        Frame(self.0.moving(&frame.get().0).into_owned())
     }
 
     fn __repr__(&self) -> String {
-        let t = self.pose.world_from_robot.translation;
-        format!("<presight.Step {} at {:.3}, {:.3}, {:.3}>", self.state, t.x, t.y, t.z)
+        let t = self.0.pose.world_from_robot.translation;
+        format!("<presight.Step {} at {:.3}, {:.3}, {:.3}>", self.state(), t.x, t.y, t.z)
     }
 }
 
@@ -406,9 +407,9 @@ impl Localizer {
                         Some(localizer) => localizer,
                         None => follower.insert(self.start.localizer(&self.world, frame.sensor(), self.threads)?),
                     };
-                    let step = localizer.step(&self.world, frame)?;
-                    let (state, time) = (step.phase.name().to_owned(), step.stamp);
-                    Ok::<_, Failed>(Step { pose: step.pose, state, reason: step.reason, time })
+                    let mut step = localizer.step(&self.world, frame)?;
+                    step.estimate.verdicts.clear();
+                    Ok::<_, Failed>(Step(step))
                 },
             )
         })

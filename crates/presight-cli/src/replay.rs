@@ -152,7 +152,9 @@ impl Painter {
         let marks = step.estimate.findings.first().map(marks).unwrap_or_default();
         let grey = sensed.grey().and_then(Frame::grey);
         let grey = grey.map(|image| GreyPanel { image, marks: &marks, legend: &FEATURES });
-        let (frame, sensor) = (sensed.frame, sensed.frame.sensor());
+        // The estimate is of that moment.
+        let moment = sensed.frame.at_one_moment()?;
+        let (frame, sensor) = (&*moment.frame, moment.frame.sensor());
         if frame.grey().is_some() {
             let nothing = Images::default();
             let alone = Comparison {

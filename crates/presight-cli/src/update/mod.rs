@@ -11,16 +11,17 @@ use super::{CommandOutcome, print};
 use glam::DVec3;
 use known::KnownArgs;
 use looks::{Questions, look_from};
-use page::Page;
+use page::{FrameKey, Page};
 use presight::files::{self, StampedPose};
 use presight::localize::Phase;
 #[cfg(feature = "report")]
 use presight::localize::Step;
-use presight::measured::Frame;
+use presight::measured::{Frame, ScanMotion};
 use presight::store::ProposedChange;
 use presight::tools::{create_folder, write_atomically};
 use presight::update::{Action, Finding, FindingKind, LearnOptions, Learner, Policy, SiteFindings};
 use presight::{Error, InWorld, PoseCovariance, PoseEstimate, Result, RobotPose, Scene, World};
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -32,7 +33,7 @@ const EXAMPLES: &str = "Examples:
     presight env apply site.presight found/changes.jsonl
 
   With poses from elsewhere, known to 5 mm and 0.1 degrees:
-    presight update run.jsonl --map site.presight --init reference --poses run.tum \
+    presight update run.jsonl --map site.presight --poses run.tum \
     --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found
 
   New things whose shapes are known, as meshes:
@@ -144,7 +145,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let notice = format!("evidence on {left_out} objects is left out, because they moved or are gone since");
         print::notices(&(left_out > 0).then_some(notice));
     }
-    let stamp = learn(&drives, &scene, &mut learner, known.as_ref())?;
+    let seen = learn(&drives, &scene, &mut learner, known.as_ref())?;
+    let stamp = seen.last;
     create_folder(&args.out)?;
     let mut findings = learner.findings(&scene.world);
     recognizers.improve(&mut learner, &scene.world, &mut findings);
@@ -158,7 +160,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let summary = summary(&learner, &findings, shares);
     let questions = Questions::of(&mut learner, &scene.world, &findings, &policy);
     write_atomically(&args.out.join("doubts.jsonl"), |file| file.write_all(questions.lines(&findings).as_bytes()))?;
-    let page = Page { args, drives: &drives, scene: &scene, findings: &findings, summary: &summary };
+    let motions = &seen.motions;
+    let page = Page { args, drives: &drives, motions, scene: &scene, findings: &findings, summary: &summary };
     page.write(&args.out)?;
     let count = changes.len();
     let (applied, waiting) =
@@ -201,22 +204,42 @@ fn drives(args: &Args) -> Result<Vec<Drive>> {
     Ok(logs.map(|log| args.drive.with_log(log)).collect())
 }
 
-/// Learns from all drives. Returns the last stamp, seconds.
-fn learn(drives: &[Drive], scene: &Scene, learner: &mut Learner, known: Option<&Known>) -> Result<f64> {
-    let mut stamp = 0.0f64;
+/// What a run saw of its frames.
+#[derive(Default)]
+struct Seen {
+    /// The last stamp, seconds.
+    last: f64,
+    /// Number of the drive.
+    drive: usize,
+    /// The motion during each scan that takes time, with which the page shows it.
+    motions: BTreeMap<FrameKey, ScanMotion>,
+}
+
+impl Seen {
+    fn add(&mut self, frame: &Frame) {
+        if let Some(motion) = frame.scan_motion().filter(|_| !frame.has_one_pose()) {
+            self.motions.insert(FrameKey::of(self.drive, frame), motion.clone());
+        }
+    }
+}
+
+/// Learns from all drives.
+fn learn(drives: &[Drive], scene: &Scene, learner: &mut Learner, known: Option<&Known>) -> Result<Seen> {
+    let mut seen = Seen::default();
     for drive in drives {
         match known {
             Some((poses, covariance)) => {
                 for drive in drive.each_log() {
-                    follow_known(&drive, scene, learner, (poses, covariance), &mut stamp)?;
+                    follow_known(&drive, scene, learner, (poses, covariance), &mut seen)?;
                     learner.end_log();
                 }
             }
-            None => follow(drive, learner, &mut stamp)?,
+            None => follow(drive, learner, &mut seen)?,
         }
         learner.end_drive();
+        seen.drive += 1;
     }
-    Ok(stamp)
+    Ok(seen)
 }
 
 /// Writes changes as lines of `presight env apply`.
@@ -258,12 +281,13 @@ fn known_poses(args: &Args) -> Result<Option<Known>> {
 }
 
 /// Learns from a drive that the localizer follows.
-fn follow(drive: &Drive, learner: &mut Learner, last: &mut f64) -> Result<()> {
+fn follow(drive: &Drive, learner: &mut Learner, seen: &mut Seen) -> Result<()> {
     let mut is_tracked = false;
     drive.follow(OutputFiles::default(), None, |scene, sensed, step| {
-        *last = step.stamp;
+        seen.last = step.stamp;
         is_tracked |= step.phase == Phase::Tracking;
         let frames: Vec<&Frame> = std::iter::once(sensed.frame).chain(sensed.grey).chain(sensed.beside).collect();
+        frames.iter().for_each(|frame| seen.add(frame));
         learner.observe(&scene.world, step, &frames)
     })?;
     let log = drive.log.display();
@@ -273,20 +297,30 @@ fn follow(drive: &Drive, learner: &mut Learner, last: &mut f64) -> Result<()> {
     Ok(())
 }
 
-/// Learns from a drive with known poses. Frames without a pose at their stamp are left out.
+/// Maximum difference between the stamps of a frame and of its pose, seconds: writers round to milliseconds.
+const SAME_TIME_S: f64 = 1e-3;
+
+/// Learns from a drive with known poses. Frames without a pose at their stamp are left out; without any pose that is an
+/// error.
 fn follow_known(
     drive: &Drive,
     scene: &Scene,
     learner: &mut Learner,
     (poses, covariance): (&[StampedPose], &PoseCovariance<InWorld>),
-    last: &mut f64,
+    seen: &mut Seen,
 ) -> Result<()> {
-    let mut without = 0;
-    drive.read(scene, |scene, frame: &Frame, _| {
-        *last = frame.stamp;
+    let (mut without, mut with) = (0, 0);
+    let mut nearest = (f64::INFINITY, 0.0, 0.0);
+    drive.read(scene, Some(poses), |scene, frame: &Frame, _| {
+        seen.last = frame.stamp;
+        seen.add(frame);
         let at = poses.iter().min_by(|a, b| (a.time - frame.stamp).abs().total_cmp(&(b.time - frame.stamp).abs()));
-        match at.filter(|stamped| (stamped.time - frame.stamp).abs() < 1e-3) {
+        if let Some(at) = at.filter(|at| (at.time - frame.stamp).abs() < nearest.0) {
+            nearest = ((at.time - frame.stamp).abs(), frame.stamp, at.time);
+        }
+        match at.filter(|stamped| (stamped.time - frame.stamp).abs() < SAME_TIME_S) {
             Some(at) => {
+                with += 1;
                 learner.observe_at(&scene.world, &[frame], &PoseEstimate::new(RobotPose::new(at.pose), *covariance))
             }
             None => {
@@ -295,6 +329,16 @@ fn follow_known(
             }
         }
     })?;
+    if with == 0 && without > 0 {
+        let (apart, frame, pose) = nearest;
+        let what = match apart.is_finite() {
+            true => {
+                format!("no frame has a pose of --poses: the nearest are {apart:.3} s apart ({frame} and {pose} s)")
+            }
+            false => "no frame has a pose of --poses, which is empty".to_owned(),
+        };
+        return Err(Error::invalid(what, "give poses with the stamps of the frames, in seconds").in_file(&drive.log));
+    }
     let log = drive.log.display();
     print::notices(&(without > 0).then(|| format!("{log}: {without} frames have no pose and are left out")));
     Ok(())

@@ -11,6 +11,7 @@ mod poses;
 mod range_grid;
 mod trajectory;
 
+pub use deskew::FrameAtMoment;
 pub use grey::GreyImage;
 pub use motion::{MAX_POSE_GAP_S, ScanMotion};
 pub use noise::RangeNoise;
