@@ -409,7 +409,7 @@ impl PoseFile {
         let mut hasher = blake3::Hasher::new();
         let (mut count, mut first) = (0, None);
         for stamped in files::stream_tum(path)? {
-            let files::StampedPose { time, pose } = stamped?;
+            let StampedPose { time, pose } = stamped?;
             let placed = of_sensor(pose).map_err(|e| e.at(format!("pose {count}")).in_file(path))?;
             first.get_or_insert(placed);
             count += 1;

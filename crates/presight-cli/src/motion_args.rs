@@ -115,7 +115,8 @@ impl MotionArgs {
                 let remedy = "give --trajectory FILE or --twist for a series of poses";
                 return Err(place(Error::usage("a series has a last pose for each scan", remedy)));
             };
-            let end = ExternalPose { pose: super::pose::parse_pose(text).map_err(place)?, ..*given };
+            let end = ExternalPose::new(super::pose::parse_pose(text).map_err(place)?);
+            let end = end.with_frame(given.frame).with_of(given.of).with_world(given.world);
             let moved = robot(given)?.inverse() * robot(&end)?;
             let motion = until(&moved, sensor.scan_interval()[1]).map_err(place)?;
             return Ok(ScanMotions::Alike(motion));
