@@ -185,13 +185,12 @@ fn planted_faults_are_found() {
     let plan_of = plan(&world, &sensor, &motion);
     let images = predicted(&world, &sensor, &motion);
     let faults = |robot: &dyn Fn(f64) -> Pose, sensor: &Sensor| {
-        let plan = FramePlan { sensor: sensor.clone(), ..plan_of.clone() };
         let pixels = (0..images.height).flat_map(|r| (0..images.width).map(move |c| (c, r)));
         let values = pixels.filter_map(|p| {
             let truth = oracle.cast_moving(sensor, robot, p)?;
             Some((p, truth, PixelValues::of(&images, (p.1 * images.width + p.0) as usize)))
         });
-        compare_values(values, &FramePlan { sensor: plan_of.sensor.clone(), ..plan }, Precision::F64).fault
+        compare_values(values, &plan_of, Precision::F64).fault
     };
     let all = images.pixels();
     assert_eq!(faults(&|t| start() * on_circle(t), &sensor), 0);
