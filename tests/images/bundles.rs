@@ -79,7 +79,7 @@ fn sensors() -> Vec<Sensor> {
     let rows = RayTimes::Rows { readout_s: 0.05, stamp: StampAt::Middle };
     let back = RayTimes::Columns { turn_s: -0.1, stamp: StampAt::Middle };
     vec![
-        mounted(&scenes::scanner(1024, 128), columns(StampAt::First)),
+        mounted(&scenes::scanner(512, 128), columns(StampAt::First)),
         mounted(&scenes::scanner(900, 16), columns(StampAt::Last)),
         mounted(&scenes::closed(721, 1), columns(StampAt::Last)),
         mounted(&scenes::scanner(300, 5), back.clone()),
@@ -92,6 +92,8 @@ fn sensors() -> Vec<Sensor> {
         ouster(512, 64, 0.015, columns(StampAt::First)),
         ouster(512, 32, 0.3, RayTimes::AtOnce),
         petals(3000),
+        // Ranges count from behind the beams' origins.
+        presight::preset("os1-128-real").unwrap(),
     ]
 }
 

@@ -111,7 +111,9 @@ impl<'a> PointCloud<'a> {
                 let ray = sensor.ray(column, row).filter(|_| range.is_finite());
                 let from_origin = ray.map(|ray| body_from_image * ray * f64::from(range));
                 let of_ray = scan.poses.as_ref().map(|poses| poses.of_pixel(column, row));
-                let at_stamp = |p| of_ray.map_or(p, |pose| pose.transform_point(p));
+                // Ranges count from behind the point at which the ray leaves the sensor.
+                let lead = ray.map_or(DVec3::ZERO, |ray| body_from_image * ray * sensor.range_lead());
+                let at_stamp = |p| of_ray.map_or(p, |pose| pose.transform_point(p - lead));
                 let point = match (frame, &scan.then_from_stamp) {
                     (PointsFrame::Sensor, None) if of_ray.is_none() => from_origin,
                     (PointsFrame::Sensor, None) => from_origin.map(|p| sensor.origin(column, row) + p),

@@ -6,8 +6,8 @@ use crate::geometry::{Pose, Twist};
 use crate::sensor::{Bundles, Sensor};
 use glam::DVec3;
 
-/// The pose of each bundle of a scan: rays with one origin that are measured at one time. Directions of rays stay those of
-/// the sensor, in its axes at the time of the ray.
+/// The pose of each bundle of a scan: rays that leave the sensor at one point and are measured at one time. Directions of
+/// rays stay those of the sensor, in its axes at the time of the ray.
 #[derive(Clone, Debug)]
 pub struct ScanPoses {
     sensor: Sensor,
@@ -60,12 +60,14 @@ impl ScanPoses {
         self.sensor.bundles(self.moves).expect("they were made")
     }
 
-    /// World from sensor for each bundle, body axes: its translation is the origin of the rays.
+    /// World from sensor for each bundle, body axes: its translation is where the rays leave the sensor
+    /// ([`Sensor::start`]).
     pub fn poses(&self) -> &[Pose] {
         &self.poses
     }
 
-    /// World from sensor when the ray of a pixel is measured, body axes; its translation is the origin of the ray.
+    /// World from sensor when the ray of a pixel is measured, body axes; its translation is where the ray starts
+    /// ([`Sensor::start`]).
     #[inline]
     pub fn of_pixel(&self, column: u32, row: u32) -> &Pose {
         &self.poses[self.bundles().of_pixel(column, row) as usize]

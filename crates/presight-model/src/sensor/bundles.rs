@@ -1,4 +1,4 @@
-//! Bundles: rays that start at one point and are measured at one time, so that one pose holds for them.
+//! Bundles: rays that leave the sensor at one point and are measured at one time, so that one pose holds for them.
 
 use super::ray_tiles::RayTiles;
 use super::{RayTimes, Sensor};
@@ -11,7 +11,7 @@ use std::sync::OnceLock;
 /// The rays of a sensor in bundles.
 #[derive(Clone, Debug)]
 pub struct Bundles {
-    /// Origin (metres, body axes of the sensor) and seconds after the stamp, by bundle.
+    /// [`Sensor::start`] and seconds after the stamp, by bundle.
     starts: Vec<(DVec3, f64)>,
     numbers: BundleNumbers,
     /// Built on first use.
@@ -45,7 +45,7 @@ impl Bundles {
                 let mut numbers = memory::reserved(width as usize * height as usize)?;
                 let (mut starts, mut known) = (Vec::new(), HashMap::new());
                 for (column, row) in (0..height).flat_map(|row| (0..width).map(move |column| (column, row))) {
-                    let origin = sensor.origin(column, row);
+                    let origin = sensor.start(column, row);
                     let time = if moves { sensor.seconds_after_stamp(column, row) } else { 0.0 };
                     let key = [origin.x, origin.y, origin.z, time].map(f64::to_bits);
                     numbers.push(*known.entry(key).or_insert_with(|| {
@@ -65,7 +65,7 @@ impl Bundles {
         self.starts.len()
     }
 
-    /// Origin (metres, body axes of the sensor) and seconds after the stamp, by bundle.
+    /// [`Sensor::start`] and seconds after the stamp, by bundle.
     pub fn starts(&self) -> &[(DVec3, f64)] {
         &self.starts
     }

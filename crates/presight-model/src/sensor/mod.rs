@@ -313,6 +313,15 @@ impl Sensor {
         self.of_table(RayTable::starts, column, row)
     }
 
+    /// Metres along each ray from [`Sensor::origin`] to [`Sensor::start`].
+    #[inline]
+    pub fn range_lead(&self) -> f64 {
+        match &self.0.spec.geometry {
+            Geometry::Rays(table) => table.range_lead(),
+            _ => 0.0,
+        }
+    }
+
     #[inline]
     fn of_table(&self, points: impl Fn(&RayTable) -> Option<&[DVec3]>, column: u32, row: u32) -> DVec3 {
         match &self.0.spec.geometry {

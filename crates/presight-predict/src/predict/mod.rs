@@ -15,6 +15,7 @@ use presight_model::clock::Instant;
 use presight_model::error::Result;
 use presight_model::geometry::SensorPose;
 use presight_model::measured::{ScanMotion, ScanPoses};
+use presight_model::plausible;
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_model::world::World;
@@ -525,4 +526,8 @@ fn add_notes(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
     stats.left_out.extend(by_engine);
     plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, why));
     stats.notices.extend(notice.cloned());
+    if plan.polygon_count == 0 && plan.radius().is_none() {
+        let bounds = plan.world.environment().bounds();
+        stats.notices.extend(plausible::far_outside(&bounds, plan.world_from_sensor.translation));
+    }
 }

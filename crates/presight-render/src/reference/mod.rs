@@ -132,13 +132,14 @@ fn write(plan: &FramePlan, images: &mut Images, beam: &Beam<Option<Hit>>) {
     let put = |image: &mut Vec<f32>, value: f64| image.get_mut(at).map(|v| *v = value as f32);
     let put_id = |image: &mut Vec<u32>, value: u32| image.get_mut(at).map(|v| *v = value);
     let spec = plan.sensor.spec();
-    let within = beam.found.filter(|hit| hit.inverse_range.recip() <= spec.range_max);
+    let measured = |hit: &Hit| hit.inverse_range.recip() + plan.sensor.range_lead();
+    let within = beam.found.filter(|hit| measured(hit) <= spec.range_max);
     let Some(hit) = within else {
         put(&mut images.range, f64::INFINITY);
         put(&mut images.depth_z, f64::INFINITY);
         return;
     };
-    let range = hit.inverse_range.recip();
+    let range = measured(&hit);
     let too_near = range < spec.range_min;
     let depth_z = range * beam.ray.dot(DVec3::Z);
     put(&mut images.range, if too_near { f64::NEG_INFINITY } else { range });

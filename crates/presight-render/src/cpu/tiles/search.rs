@@ -216,7 +216,7 @@ impl<'a> Search<'a> {
     /// Begins the search of a tile.
     #[inline(always)]
     pub fn begin(&mut self, objects: &Objects<'a>, tile: &RayTile) {
-        let range_max = objects.plan.sensor.spec().range_max as f32;
+        let range_max = (objects.plan.sensor.spec().range_max - objects.plan.sensor.range_lead()) as f32;
         // The inverse depth of a unit ray is at least its inverse range.
         self.found.clear(tile, (1.0 - 1e-5) / range_max);
         self.views.clear();
