@@ -165,8 +165,8 @@ impl BagFrames {
         }
     }
 
-    /// The motion during the scan of the first waiting frame by the transforms of the odometry; `None` if its rays take no time
-    /// or the motion is unknown. `Err` if a transform at or after its last ray may still come.
+    /// The motion during the scan of the first waiting frame by the transforms of the odometry; `None` if its rays take
+    /// no time or the motion is unknown. `Err` if a transform at or after its last ray may still come.
     fn scan_motion(&self, stamp: i64) -> Result<Option<ScanMotion>, ()> {
         let sensor = self.waiting.front().map(|(_, frame)| frame.sensor()).filter(|s| !s.spec().times.is_at_once());
         let (Some(sensor), Some(odom)) = (sensor, &self.choice.odom) else { return Ok(None) };
@@ -177,7 +177,8 @@ impl BagFrames {
             return Ok(None);
         };
         if !reaches {
-            let what = "the odometry does not reach over every scan: the motion between its two poses nearest to a scan is taken";
+            let what =
+                "the odometry does not reach over every scan: the velocity between the two nearest poses is taken";
             self.converter.add_notice(what);
         }
         Ok(Some(motion))
