@@ -42,11 +42,11 @@ impl ScanMotions {
         }
     }
 
-    /// True if the motion of a frame also depends on the next frame.
+    /// True if the motion of a frame also depends on the next frame: of a scan after its stamp, and of the first frame.
     pub fn needs_next(&self, now: &Observation) -> bool {
         let [_, last] = now.frame.sensor().scan_interval();
         let by_trajectory = matches!(self.source, Source::Trajectory(_)) && now.frame.motion.is_none();
-        last > 0.0 && self.is_sought(now) && !by_trajectory
+        (last > 0.0 || self.before.is_none()) && self.is_sought(now) && !by_trajectory
     }
 
     fn is_sought(&self, now: &Observation) -> bool {

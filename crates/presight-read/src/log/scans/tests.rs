@@ -144,8 +144,8 @@ fn stamps_come_from_the_clock_of_the_points_if_names_do_not_tell() {
     let files = [("first.ply", at(1.7e9)), ("second.ply", at(1.7e9 + 0.1))];
     let (frames, notices) = frames_of(&files, None).unwrap();
     let stamps: Vec<f64> = frames.iter().map(|o| (o.frame.stamp - 1.7e9) * 1e3).map(f64::round).collect();
-    // The wall is seen in the second half of the scan.
-    assert!(stamps[1] - stamps[0] == 100.0 && (49.0..=51.0).contains(&stamps[0]), "{stamps:?}");
+    // The wall begins at an azimuth of atan(5 / 10), 26.6 degrees: in column 207 of 360, after 57.5 ms.
+    assert!(stamps[1] - stamps[0] == 100.0 && (57.0..=58.0).contains(&stamps[0]), "{stamps:?}");
     assert!(
         frames[0].frame.sensor().scan_interval()[0] == 0.0 && notices.iter().any(|n| n.contains("also give the stamp"))
     );
