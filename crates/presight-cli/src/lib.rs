@@ -6,6 +6,8 @@ mod bag_args;
 mod bar;
 mod batch;
 mod compare;
+#[cfg(feature = "ros")]
+mod compared_bag;
 mod deadline;
 mod doctor;
 mod drive;
@@ -28,6 +30,8 @@ mod layers;
 mod localize;
 #[cfg(feature = "store")]
 mod occupancy;
+#[cfg(feature = "ros")]
+mod output_bag;
 mod outputs;
 mod overlap;
 pub mod pose;

@@ -4,6 +4,7 @@
 use super::looks::look_from;
 use super::{Args, Drive, describe};
 use glam::DVec3;
+use presight::files::Observation;
 use presight::measured::Frame;
 use presight::tools::write_atomically;
 use presight::update::{BestView, DoubtfulObject, Finding, FindingKind, PlannedView, SiteFindings};
@@ -83,7 +84,7 @@ impl Page<'_> {
         let mut frames = BTreeMap::new();
         for (number, drive) in self.drives.iter().enumerate().filter(|(n, _)| wanted.iter().any(|key| key.0 == *n)) {
             for drive in drive.each_log() {
-                drive.read(self.scene, |_, frame, _| {
+                drive.read(self.scene, |_, Observation { frame, .. }| {
                     let key = (number, frame.sensor().spec().name.clone(), frame.stamp.to_bits());
                     if wanted.contains(&key) {
                         frames.insert(key, frame.clone());
@@ -145,7 +146,7 @@ impl Page<'_> {
             if wanted.is_empty() {
                 break;
             }
-            drive.read(self.scene, |_, frame, _| {
+            drive.read(self.scene, |_, Observation { frame, .. }| {
                 let sensor = frame.sensor();
                 if wanted.remove(&*sensor.spec().name) {
                     sensors.insert(sensor.spec().name.clone(), sensor.clone());

@@ -1,15 +1,16 @@
 //! The frames of a bag, each with the robot's motion and reference at its stamp.
 
+use super::NANO;
 use super::choice::Choice;
 use super::convert::{Converter, body_mount};
 use crate::log::BagOptions;
-use crate::log::Observation;
+use crate::log::{Observation, Recorded};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, RobotPose};
 use presight_model::measured::{Frame, Motion, OdometryNoise};
 use presight_model::sensor::Sensor;
-use presight_ros::message::{CameraInfo, Message, Odometry, TFMessage};
-use presight_ros::{Bag, FrameTree, Lookup, Messages, Record, Survey, is_static_topic};
+use presight_ros::message::{CameraInfo, Header, Message, Odometry, TFMessage};
+use presight_ros::{Bag, FrameTree, Lookup, Messages, Record, Survey, clean_frame_id, is_static_topic};
 use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -18,9 +19,6 @@ use std::sync::{Arc, Mutex};
 /// fraction of a second; a robot whose `map` to `odom` comes at 1 Hz makes a scanner of 50 Hz wait for 50 frames.
 const MAX_WAITING: usize = 64;
 
-/// Seconds per nanosecond.
-const NANO: f64 = 1e-9;
-
 /// The frames of one topic of a bag. The bag is read forward; memory does not grow with it.
 pub struct BagFrames {
     messages: Messages,
@@ -28,14 +26,32 @@ pub struct BagFrames {
     converter: Converter,
     noise: OdometryNoise,
     tree: FrameTree,
-    info: Option<CameraInfo>,
-    waiting: VecDeque<(i64, Frame)>,
+    info: Option<Info>,
+    waiting: VecDeque<Waiting>,
     /// odom_from_base at the last frame.
     before: Option<Pose>,
     last_ns: Option<i64>,
     count: u64,
     without_motion: u64,
     has_ended: bool,
+}
+
+/// A frame that waits for its transforms, with its message.
+struct Waiting {
+    frame: Frame,
+    recorded: Recorded,
+}
+
+/// The last `CameraInfo`, with its serialization.
+struct Info {
+    message: CameraInfo,
+    data: Vec<u8>,
+}
+
+impl Info {
+    fn decode(data: Vec<u8>) -> Result<Self> {
+        Ok(Self { message: CameraInfo::decode(&data)?, data })
+    }
 }
 
 impl BagFrames {
@@ -56,9 +72,9 @@ impl BagFrames {
         };
         let topic = survey.topic(&choice.topic).expect("the chosen topic is one of the survey's");
         let info = choice.camera_info.as_ref().and_then(|name| survey.topic(name)?.first.clone());
-        let info = info.map(|data| CameraInfo::decode(&data)).transpose()?;
-        let is_rectified = choice.topic.contains("rect")
-            && info.as_ref().is_some_and(|info| info.d.iter().any(|d| *d != 0.0) && info.p[0] != 0.0);
+        let info = info.map(Info::decode).transpose()?;
+        let is_rectified =
+            choice.topic.contains("rect") && info.as_ref().is_some_and(|info| has_rectified(&info.message));
         let mut notices: Vec<String> =
             survey.losses.iter().map(|loss| format!("{}: {}", loss.file.display(), loss.what)).collect();
         notices.extend(survey.faults.iter().cloned());
@@ -115,13 +131,13 @@ impl BagFrames {
     }
 
     /// Enters a message: a transform into the tree, a measurement among the waiting frames.
-    fn add(&mut self, record: &Record) -> Result<()> {
+    fn add(&mut self, record: Record) -> Result<()> {
         let name = &record.topic.name;
         if *name == self.choice.topic {
             return self.add_frame(record);
         }
         if Some(name) == self.choice.camera_info.as_ref() {
-            self.info = Some(CameraInfo::decode(&record.data)?);
+            self.info = Some(Info::decode(record.data)?);
         } else if Some(name) == self.choice.odometry_topic.as_ref() {
             let odometry = Odometry::decode(&record.data)?;
             if let Some(pose) = odometry.odom_from_child {
@@ -139,16 +155,27 @@ impl BagFrames {
         Ok(())
     }
 
-    fn add_frame(&mut self, record: &Record) -> Result<()> {
-        let stamp = presight_ros::message::Header::read(&mut presight_ros::cdr::Cursor::new(&record.data)?)?.stamp_ns;
-        let stamp = if stamp == 0 { record.log_time_ns } else { stamp };
+    fn add_frame(&mut self, record: Record) -> Result<()> {
+        let header = Header::decode(&record.data)?;
+        let stamp = if header.stamp_ns == 0 { record.log_time_ns } else { header.stamp_ns };
         if let Some(last) = self.last_ns.filter(|last| stamp <= *last) {
             let what = format!("the stamp {:.6} s is not after {:.6} s", stamp as f64 * NANO, last as f64 * NANO);
             return Err(Error::invalid(what, "record with one clock; cut the bag where the clock jumps"));
         }
         self.last_ns = Some(stamp);
-        let frame = self.converter.frame(stamp as f64 * NANO, &record.data, self.info.as_ref())?;
-        self.waiting.push_back((stamp, frame));
+        let info = self.info.as_ref();
+        let frame = self.converter.frame(stamp as f64 * NANO, &record.data, info.map(|info| &info.message))?;
+        let recorded = Recorded {
+            topic: record.topic.name.clone(),
+            message_type: record.topic.message_type.clone(),
+            data: record.data,
+            camera_info: info.zip(self.choice.camera_info.as_ref()).map(|(i, topic)| (topic.clone(), i.data.clone())),
+            stamp_ns: stamp,
+            frame: clean_frame_id(&header.frame_id).to_owned(),
+            base: self.choice.base.clone(),
+            odom: None,
+        };
+        self.waiting.push_back(Waiting { frame, recorded });
         Ok(())
     }
 
@@ -166,18 +193,19 @@ impl BagFrames {
 
     /// The first waiting frame, if its transforms have come.
     fn ready(&mut self) -> Option<Observation> {
-        let (stamp, _) = self.waiting.front()?;
-        let stamp = *stamp;
+        let stamp = self.waiting.front()?.recorded.stamp_ns;
         let odometry = self.choice.odom.as_ref().map_or(Ok(None), |odom| self.base_in(odom, stamp)).ok()?;
         let reference = if self.choice.has_reference { self.base_in("map", stamp).ok()? } else { None };
-        let (_, mut frame) = self.waiting.pop_front()?;
+        let Waiting { mut frame, mut recorded } = self.waiting.pop_front()?;
         let since = self.before.zip(odometry).map(|(before, now)| before.inverse() * now);
         self.without_motion += u64::from(odometry.is_none());
         self.count += 1;
         frame.motion = since.map(|motion| Motion::of_odometry(motion, &self.noise));
         self.before = odometry;
         self.tree.forget_before(stamp);
-        Some(Observation { frame, reference: reference.map(RobotPose::new) })
+        recorded.odom = self.choice.odom.clone().zip(odometry);
+        let recorded = Some(Box::new(recorded));
+        Some(Observation { frame, reference: reference.map(RobotPose::new), recorded })
     }
 
     fn report_missing_odometry(&mut self) {
@@ -198,15 +226,20 @@ impl BagFrames {
             }
             match self.messages.next().transpose()? {
                 Some(record) => {
-                    let place = |e: Error| {
-                        e.at(format!("{}, recorded at {:.6} s", record.topic.name, record.log_time_ns as f64 * NANO))
-                    };
-                    self.add(&record).map_err(place)?;
+                    let (topic, time) = (Arc::clone(&record.topic), record.log_time_ns as f64 * NANO);
+                    self.add(record).map_err(|e| e.at(format!("{}, recorded at {time:.6} s", topic.name)))?;
                 }
                 None => self.has_ended = true,
             }
         }
     }
+}
+
+/// True if a topic of rectified images has another camera than the raw one.
+fn has_rectified(info: &CameraInfo) -> bool {
+    // Uncalibrated drivers leave R at zeros.
+    let is_turned = info.r[0] != 0.0 && info.r != [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    info.p[0] != 0.0 && (is_turned || info.d.iter().any(|d| *d != 0.0))
 }
 
 impl Iterator for BagFrames {

@@ -16,3 +16,6 @@ mod report;
 pub use choice::{Choice, Measured};
 pub use drive::BagFrames;
 pub use report::BagReport;
+
+/// Seconds per nanosecond.
+const NANO: f64 = 1e-9;
