@@ -37,8 +37,10 @@ use presight_render::plan::{Images, Output, Outputs};
 
 #[doc(inline)]
 pub use presight_files::ros::{
-    BagWriter, MarkerKind, MessageOrigin, Record, SceneMarker, Topic, create_bag, measured, model,
+    BagWriter, MarkerKind, MessageOrigin, Record, SceneMarker, Topic, create_bag, initial_pose, measured, model,
 };
+#[doc(inline)]
+pub use presight_read::log::bag::LiveFrames;
 
 /// The answers of a localizer about one frame: the state and its reason on `/diagnostics`; and where the pose is known,
 /// the transform on `/tf` and the pose on `/presight/pose`.

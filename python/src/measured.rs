@@ -5,9 +5,9 @@ use super::errors::{Failed, apart, raised, usage, warn};
 use super::process::Shared;
 use super::scene::Scene;
 use super::sensor::{Sensor, sensor_of};
-use presight::files::{LogFrames, Observation};
+use presight::files::{BagOptions, LogFrames, Observation};
 use presight::localize::{
-    EstimateOptions, Estimator, Freedom, LocalizeOptions, Localizer as Ours, Search, SearchOptions,
+    EstimateOptions, Estimator, Freedom, LocalizeOptions, Localizer as Ours, Search, SearchOptions, Step as OurStep,
 };
 use presight::measured::{Frame as OurFrame, GreyImage, Measurement, Motion, OdometryNoise};
 use presight::tools;
@@ -105,7 +105,7 @@ impl Frame {
 
 /// The frames of a log, in memory.
 ///
-/// A log is what `presight localize` takes: a file of ranges, a folder of depth images, a scan or a folder of scans. Its frames come by
+/// A log is what `presight localize` takes: a file of ranges, a folder of depth images, a scan or a folder of scans, or a ROS 2 bag. Its frames come by
 /// index or in a loop; columns are arrays.
 ///
 /// >>> import presight, tempfile, os, json
@@ -130,14 +130,27 @@ const LOOK_BYTES: u64 = 64 << 20;
 #[pymethods]
 impl Log {
     /// Reads a log. `sensor` supplies noise, limits and mount, and must have the log's image size. What the log leaves out is one warning.
+    /// For a ROS 2 bag, `topic` names the measured topic if there are several, `base` the robot's frame (by default `base_link`, else
+    /// `base_footprint`), `mount` the sensor's pose on the robot where no static transform tells it, and `reflector` the intensity of a
+    /// full reflector.
     ///
     /// Raises `Error` naming file and frame, and `MemoryError` for a log that does not fit.
     #[staticmethod]
-    #[pyo3(signature = (path, sensor = None))]
-    fn open(py: Python<'_>, path: PathBuf, sensor: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+    #[pyo3(signature = (path, sensor = None, topic = None, base = None, mount = None, reflector = None))]
+    fn open(
+        py: Python<'_>,
+        path: PathBuf,
+        sensor: Option<&Bound<'_, PyAny>>,
+        topic: Option<String>,
+        base: Option<String>,
+        mount: Option<&Bound<'_, PyAny>>,
+        reflector: Option<f32>,
+    ) -> PyResult<Self> {
         let sensor = sensor.map(sensor_of).transpose()?;
+        let mount = mount.map(|given| pose_of(given, "mount")).transpose()?;
+        let bag = BagOptions::default().with_topic(topic).with_base(base).with_mount(mount).with_reflector(reflector);
         let log = apart(py, || {
-            let mut log = LogFrames::open(&path, sensor.as_ref(), &OdometryNoise::default())?;
+            let mut log = LogFrames::open_with(&path, sensor.as_ref(), &OdometryNoise::default(), &bag)?;
             let (mut frames, mut bytes) = (Vec::new(), 0);
             while let Some(frame) = log.next().transpose()? {
                 bytes += 8 * frame.frame.ranges().len() as u64;
@@ -260,10 +273,7 @@ impl Verdicts {
 /// Where the robot is after a frame.
 #[pyclass(frozen, module = "presight")]
 pub struct Step {
-    pose: PoseEstimate,
-    state: String,
-    reason: String,
-    time: f64,
+    pub step: OurStep,
 }
 
 #[pymethods]
@@ -271,36 +281,60 @@ impl Step {
     /// The robot's pose in the world: (7,) x y z qx qy qz qw.
     #[getter]
     fn pose<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        array(py, pose_numbers(&self.pose.world_from_robot).to_vec(), &[7])
+        array(py, pose_numbers(&self.step.pose.world_from_robot).to_vec(), &[7])
     }
 
     /// Its covariance: (6, 6), x y z and rotations about x y z, along the world's axes, metres and radians.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        array(py, self.pose.covariance.as_rows().as_flattened().to_vec(), &[6, 6])
+        array(py, self.step.pose.covariance.as_rows().as_flattened().to_vec(), &[6, 6])
     }
 
     /// The name of the localizer's state, such as "tracking". The guide on localization says in which states the pose is known.
     #[getter]
-    fn state(&self) -> &str {
-        &self.state
+    fn state(&self) -> &'static str {
+        self.step.phase.name()
     }
 
     /// Why, with numbers.
     #[getter]
     fn reason(&self) -> &str {
-        &self.reason
+        &self.step.reason
+    }
+
+    /// True if one pose is known: it was given at the start, or it was found.
+    #[getter]
+    fn is_known(&self) -> bool {
+        self.step.is_known()
+    }
+
+    /// The verdict on each pixel of the frame, or None if nothing was compared.
+    #[getter]
+    fn verdicts(&self) -> Option<Verdicts> {
+        self.step.estimate.verdicts.first().cloned().map(Verdicts)
+    }
+
+    /// Fraction of the measured points that the model explains.
+    #[getter]
+    fn explained(&self) -> f64 {
+        self.step.estimate.explained
+    }
+
+    /// Directions that the measurement does not determine, such as "x" or "x+yaw".
+    #[getter]
+    fn weak(&self) -> Vec<String> {
+        self.step.estimate.weak.iter().map(|weak| weak.name.clone()).collect()
     }
 
     /// The frame's time, seconds.
     #[getter]
     fn time(&self) -> f64 {
-        self.time
+        self.step.stamp
     }
 
     fn __repr__(&self) -> String {
-        let t = self.pose.world_from_robot.translation;
-        format!("<presight.Step {} at {:.3}, {:.3}, {:.3}>", self.state, t.x, t.y, t.z)
+        let t = self.step.pose.world_from_robot.translation;
+        format!("<presight.Step {} at {:.3}, {:.3}, {:.3}>", self.state(), t.x, t.y, t.z)
     }
 }
 
@@ -407,10 +441,18 @@ impl Localizer {
                         None => follower.insert(self.start.localizer(&self.world, frame.sensor(), self.threads)?),
                     };
                     let step = localizer.step(&self.world, frame)?;
-                    let (state, time) = (step.phase.name().to_owned(), step.stamp);
-                    Ok::<_, Failed>(Step { pose: step.pose, state, reason: step.reason, time })
+                    Ok::<_, Failed>(Step { step })
                 },
             )
+        })
+    }
+
+    /// What limits the poses so far, a line each.
+    #[getter]
+    fn warnings(&self, py: Python<'_>) -> PyResult<Vec<String>> {
+        apart(py, || {
+            let lines = |follower: &mut Option<Ours>| Ok::<_, Failed>(follower.as_ref().map(Ours::warnings));
+            Ok::<_, Failed>(self.follower.with(|| Ok(None), lines)?.unwrap_or_default())
         })
     }
 

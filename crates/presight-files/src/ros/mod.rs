@@ -12,14 +12,14 @@ pub use presight_ros::message::{MarkerKind, SceneMarker};
 pub use presight_ros::{BagWriter, Record, Topic};
 
 use glam::DVec3;
-use presight_model::error::Result;
-use presight_model::geometry::{Pose, PoseEstimate};
+use presight_model::error::{Error, Result};
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::measured::Frame;
 use presight_model::sensor::{Sensor, body_from_optical_rotation};
 use presight_read::atomic::{open_to_replace, refused};
 use presight_read::log::Recorded;
 use presight_ros::message::{
-    DiagnosticArray, DiagnosticStatus, Header, PoseWithCovarianceStamped, TFMessage, TransformStamped,
+    DiagnosticArray, DiagnosticStatus, Header, Message, PoseWithCovarianceStamped, TFMessage, TransformStamped,
 };
 use std::fs::File;
 use std::path::Path;
@@ -147,6 +147,18 @@ pub fn measured(recorded: &Recorded) -> Vec<Record> {
     let info: Vec<Record> = info.map(|(topic, data)| record((topic, &info_type, data))).collect();
     let message = record((&recorded.topic, &recorded.message_type, &recorded.data));
     info.into_iter().chain([message]).collect()
+}
+
+/// The pose of a `geometry_msgs/msg/PoseWithCovarianceStamped`, as RViz sends it on `/initialpose`.
+///
+/// # Errors
+/// [`presight_model::ErrorKind::Invalid`] for a message that is cut, a pose that is none, or an invalid covariance.
+pub fn initial_pose(message: &[u8]) -> Result<PoseEstimate> {
+    let message = PoseWithCovarianceStamped::decode(message)?;
+    let Some(pose) = message.pose else {
+        return Err(Error::invalid("the pose is not a pose", "send a unit quaternion and finite metres"));
+    };
+    Ok(PoseEstimate::new(RobotPose::new(pose), PoseCovariance::from_row_major(&message.covariance)?))
 }
 
 /// base_from_frame: the messages of a camera are in its optical frame.

@@ -11,10 +11,13 @@
 mod choice;
 mod convert;
 mod drive;
+mod live;
 mod report;
+mod stream;
 
 pub use choice::{Choice, Measured};
 pub use drive::BagFrames;
+pub use live::LiveFrames;
 pub use report::BagReport;
 
 /// Seconds per nanosecond.
