@@ -42,7 +42,7 @@ pub use presight_files::ros::{
 #[doc(inline)]
 pub use presight_read::log::bag::LiveFrames;
 
-/// The answers of a localizer about one frame: the state and its reason on `/diagnostics`; and where the pose is known,
+/// The answers of a localizer about one frame: the state and its reason on `/diagnostics`, and if the pose is known,
 /// the transform on `/tf` and the pose on `/presight/pose`.
 pub fn answers(step: &Step, origin: &MessageOrigin) -> Vec<Record> {
     let weak: Vec<&str> = step.estimate.weak.iter().map(|weak| weak.name.as_str()).collect();
@@ -72,8 +72,8 @@ pub fn answers(step: &Step, origin: &MessageOrigin) -> Vec<Record> {
     records
 }
 
-/// What a frame of ranges should have been at a pose, on `/presight/predicted`, and the verdict on each of its points,
-/// on `/presight/verdict`.
+/// The prediction of a frame of ranges at a pose, on `/presight/predicted`, and the verdict on each of its points, on
+/// `/presight/verdict`.
 ///
 /// # Errors
 /// Those of [`Predictor::predict_images`], and of [`MessageOrigin::predicted`]; [`crate::ErrorKind::Invalid`] for

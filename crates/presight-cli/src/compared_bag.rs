@@ -1,4 +1,4 @@
-//! Should and is: a ROS 2 bag of measurements, their predictions, and the verdict on each point.
+//! A ROS 2 bag of measurements, their predictions, and the verdict on each point.
 
 use super::drive::Sensed;
 use super::output_bag::OutputBag;
@@ -30,7 +30,7 @@ impl ComparedBag {
         Ok(Self { bag, predictor, last: None })
     }
 
-    /// Adds a step of a localizer: the answers, and if the pose is known, should and is.
+    /// Adds a step of a localizer: its answers, and if the pose is known, the comparison with the prediction.
     ///
     /// # Errors
     /// Those of the prediction and of writing.

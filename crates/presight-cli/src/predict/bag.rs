@@ -4,8 +4,8 @@ use super::Args;
 use presight::ros::{MessageOrigin, Record};
 use presight::{Prediction, Result};
 
-/// The messages of a prediction; with the mount of its sensor at the first pose, and the pose of the robot if no other
-/// sensor has told it.
+/// The messages of a prediction; with the mount of its sensor at the first pose, and the pose of the robot
+/// with its first sensor.
 pub fn records(
     args: &Args,
     prediction: &Prediction,

@@ -96,8 +96,8 @@ impl MessageOrigin {
         Some(self.transform("/tf", odom, &self.base, *odom_from_base))
     }
 
-    /// Where the robot is, on `/tf`: from `map` to the odometry's frame if there is one (REP-105), otherwise to the
-    /// base.
+    /// The pose of the robot on `/tf`: the transform from `map` to the frame of the odometry if there is one (REP-105),
+    /// otherwise to the base.
     pub fn localization(&self, world_from_robot: &Pose) -> Record {
         match &self.odom {
             Some((odom, odom_from_base)) => {

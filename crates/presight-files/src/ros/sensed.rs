@@ -84,7 +84,7 @@ impl MessageOrigin {
         })
     }
 
-    /// The points of a range image, organized, with the values of other images that are wanted; NaN where nothing is.
+    /// The points of a range image, organized, with the values of other images that are wanted; NaN where the ray met nothing.
     ///
     /// # Errors
     /// As [`PointCloud::new`].

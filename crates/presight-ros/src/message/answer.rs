@@ -5,7 +5,7 @@ use crate::cdr::{Cursor, Field, Sink, fields};
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
 
-/// An estimated pose of the robot, and where one says that the robot is, as RViz does.
+/// An estimated pose of the robot, or a start pose that a person gives in RViz.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseWithCovarianceStamped {
     /// Stamp, and the frame in which the pose is given.

@@ -46,8 +46,7 @@ pub struct SceneMarker {
 }
 
 impl SceneMarker {
-    /// A shape without points at the origin of its frame, with a scale of 1 m. Stamp, frame and id are set by
-    /// who sends it.
+    /// A shape without points at the origin of its frame, with a scale of 1 m. The sender sets stamp, frame and id.
     pub fn new(kind: MarkerKind, namespace: impl Into<String>, color: [f32; 4]) -> Self {
         Self {
             header: Header { stamp_ns: 0, frame_id: String::new() },
