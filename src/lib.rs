@@ -109,7 +109,7 @@ pub mod virtual_sensors;
 pub use presight_model::clock::set_clock;
 #[doc(inline)]
 pub use presight_model::geometry::{
-    InObject, InRobot, InWorld, Pose, PoseCovariance, PoseEstimate, RobotPose, SensorPose,
+    InObject, InRobot, InWorld, Pose, PoseCovariance, PoseEstimate, RobotPose, SensorPose, Twist,
 };
 #[doc(inline)]
 pub use presight_model::{Change, Error, ErrorKind, Result, Sensor, Threads, World};

@@ -12,7 +12,7 @@ use presight_localize::localize::{LocalizeOptions, Localizer, Phase, Search, Sea
 use presight_model::environment::{Mesh, NewObject};
 use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::measured::{Frame, Measurement};
-use presight_model::sensor::{Angles, Camera, Geometry, Scanner, Sensor, SensorSpec};
+use presight_model::sensor::{Angles, Camera, Geometry, RayTimes, Scanner, Sensor, SensorSpec, StampAt};
 use presight_model::world::World;
 use presight_read::log::Frames;
 use presight_read::preset;
@@ -337,7 +337,8 @@ fn carried_away(world: &World, _: &World, frames: usize, seed: u64) -> Log {
 /// A scanner that takes a tenth of a second for a turn, on a fast robot.
 fn turning(world: &World, frames: usize, turn_s: f64, seed: u64) -> Log {
     let driving = Driving { seconds: 0.1 * frames as f64 + 1.0, speed: 1.5, turn: 1.0 };
-    let sensor = Sensor::new(scanner(true).spec().clone().with_turn_s(turn_s)).expect("a scanner");
+    let sensor = Sensor::new(scanner(true).spec().clone().with_times(RayTimes::turning(turn_s, StampAt::First)))
+        .expect("a scanner");
     let drive = Drive { route: wander(world, &driving, seed), walkers: 0, sensor, ..Drive::new(world, frames, seed) };
     let mut caster = drive.caster(EXACT);
     caster.turn_s = turn_s;

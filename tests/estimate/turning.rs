@@ -5,6 +5,7 @@ use super::*;
 use presight_localize::estimate::nees;
 use presight_localize::localize::Phase;
 use presight_model::geometry::RobotPose;
+use presight_model::sensor::{RayTimes, StampAt};
 use presight_testkit::caster::Caster;
 use presight_testkit::oracle::Oracle;
 use presight_testkit::route::{Driving, Route};
@@ -17,7 +18,7 @@ fn a_scan_that_turns_is_as_unsure_as_its_motion() {
     let oracle = Oracle::new(world.environment(), DVec3::ZERO).unwrap();
     let driving = Driving { seconds: 7.0, speed: 1.5, turn: 1.0 };
     let route = Route::wander(&oracle, &world.environment().bounds(), &driving, 3);
-    let mut spec = scanner(0.01).spec().clone().with_turn_s(0.1);
+    let mut spec = scanner(0.01).spec().clone().with_times(RayTimes::turning(0.1, StampAt::First));
     spec.mount.translation.z = 0.5;
     let sensor = Sensor::new(spec).unwrap();
     let mut caster = Caster::new(world.environment(), sensor.clone(), 1);

@@ -10,6 +10,7 @@ use presight::files::{self, ImportOptions, LogFrame, StampedPose, load_sensor};
 use presight::measured::Frame;
 #[cfg(feature = "ros")]
 use presight::ros::{MessageOrigin, Record, sensed};
+use presight::sensor::RayTimes;
 use presight::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
 use presight::tools::{create_folder, write_atomically};
 use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads};
@@ -196,12 +197,12 @@ fn records(frame: &Frame, truth: &Pose, odom_from_robot: Pose, is_first: bool) -
 
 /// The sensor with all of its columns measured at the stamp, which is how they are simulated.
 fn at_once(sensor: Sensor) -> Result<Sensor> {
-    if sensor.spec().turn_s == 0.0 {
+    if sensor.spec().times.is_at_once() {
         return Ok(sensor);
     }
     let what = "each scan is simulated as if the robot stood still while it is measured: turn_s is left out of the log";
     super::print::notices(&[what.to_owned()]);
-    Sensor::new(sensor.spec().clone().with_turn_s(0.0))
+    Sensor::new(sensor.spec().clone().with_times(RayTimes::AtOnce))
 }
 
 fn write_text(path: &Path, text: &str) -> Result<()> {
@@ -220,7 +221,9 @@ fn write_scans(
         let mut file = BufWriter::new(file);
         writeln!(file, "{}", files::range_log_header(sensor.spec()))?;
         for pose in poses {
-            match next(pose).and_then(|frame| files::range_log_line(&log_frame(&frame, pose))) {
+            match next(pose)
+                .and_then(|frame| files::range_log_line(&LogFrame::of(&frame, Some(RobotPose::new(pose.pose)))))
+            {
                 Ok(line) => writeln!(file, "{line}")?,
                 Err(e) => {
                     failed = Some(e);
@@ -231,16 +234,6 @@ fn write_scans(
         file.flush()
     });
     failed.map_or(written, Err)
-}
-
-fn log_frame(frame: &Frame, pose: &StampedPose) -> LogFrame {
-    LogFrame {
-        time: frame.stamp,
-        range: frame.ranges().to_vec(),
-        intensities: frame.intensities().map(|i| i.values().to_vec()),
-        odometry: frame.motion.map(|m| m.previous_from_current),
-        reference: Some(RobotPose::new(pose.pose)),
-    }
 }
 
 /// Writes the images of one time.

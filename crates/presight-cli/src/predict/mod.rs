@@ -147,9 +147,9 @@ pub struct Args {
 
     /// Write a ROS 2 bag: /tf, /tf_static, and below the name of the sensor scan and points, or depth and camera_info
     ///
-    /// A level scanner of one row gets LaserScan and PointCloud2, other scanners organized PointCloud2, with a field for
-    /// each requested image: echo (as intensity), object_id and polygon_id; cameras get 32FC1 and, for requested ids,
-    /// 32SC1. `presight replay --given` reads the bag back.
+    /// A level scanner of one row gets LaserScan and PointCloud2, other scanners organized PointCloud2, with a field
+    /// for each requested image: echo (as intensity), object_id and polygon_id; cameras get 32FC1 and, for requested
+    /// ids, 32SC1. `presight replay --given` reads the bag back.
     #[cfg(feature = "ros")]
     #[arg(long, value_name = "OUT.mcap", requires = "poses")]
     mcap: Option<PathBuf>,

@@ -27,7 +27,6 @@ pub use fit::{Fit, fit};
 pub use image::{ImageSource, SeenPoint, SeenSegment};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};
 pub use options::EstimateOptions;
-pub(crate) use range::after_middle;
 pub use range::{MeasuredPoint, RangeSource, measured_points};
 pub use solve::Estimator;
 pub use starts::drawn;

@@ -54,13 +54,8 @@ pub struct MeasuredPoint {
     pub point: Vec3,
     /// Unit length, towards the sensor.
     pub normal: Vec3,
-    /// Seconds from the middle of the scan's turn to when it was measured; 0 if a frame is measured at once.
+    /// Seconds from the moment to which a scan was deskewed to when the point was measured; 0 if it was not.
     pub late: f32,
-}
-
-/// Seconds from the middle of a turn to when a column is measured.
-pub(crate) fn after_middle(turn_s: f64, column: usize, width: usize) -> f64 {
-    turn_s * ((column as f64 + 0.5) / width as f64 - 0.5)
 }
 
 /// The measured points of a frame, image frame, metres: those with a finite range within the sensor's limits. A beam
@@ -78,8 +73,11 @@ pub fn measured_points(frame: &Frame) -> Vec<MeasuredPoint> {
     };
     let pixels = frame.ranges().par_iter().enumerate().with_min_len(CHUNK);
     let points: Vec<Vec3> = parallel_or_here(|| pixels.map(point).collect());
-    let (upright, turn_s) = (height == 1 && !sensor.is_camera(), spec.turn_s);
-    let row = |row| points_of_row(&points, width, distinct, row, upright, turn_s);
+    let upright = height == 1 && !sensor.is_camera();
+    let late = |c: usize, r: usize| {
+        frame.deskewed_by().map_or(0.0, |by| sensor.seconds_after_stamp(c as u32, r as u32) - by) as f32
+    };
+    let row = |row| points_of_row(&points, width, distinct, row, upright, late);
     let rows = (0..height).into_par_iter().with_min_len(CHUNK.div_ceil(width.max(1)));
     let rows: Vec<Vec<MeasuredPoint>> = parallel_or_here(|| rows.map(row).collect());
     rows.concat()
@@ -92,7 +90,7 @@ fn points_of_row(
     distinct: usize,
     row: usize,
     upright: bool,
-    turn_s: f64,
+    late: impl Fn(usize, usize) -> f32,
 ) -> Vec<MeasuredPoint> {
     /// Columns and rows between a point and the neighbours that tell its normal.
     const N: usize = 2;
@@ -114,8 +112,7 @@ fn points_of_row(
         } else {
             n
         };
-        let late = after_middle(turn_s, c, width) as f32;
-        found.push(MeasuredPoint { point: p, normal: n, late });
+        found.push(MeasuredPoint { point: p, normal: n, late: late(c, row) });
     }
     found
 }

@@ -34,7 +34,6 @@ pub use residuals::{Figure, Misfit, Residuals};
 use rivals::Rivals;
 pub use search::{Candidate, Search, SearchOptions};
 use timing::{Timing, stamps_of};
-pub use turning::at_once;
 pub use velocity::{MotionNoise, Stamps, Velocity, along, rate};
 
 use crate::estimate::{Estimate, Estimator, Freedom};
@@ -42,9 +41,8 @@ use crate::motion::{motion_between, moved};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, restricted, sandwich, turn};
-use presight_model::measured::{Frame, Motion};
+use presight_model::measured::{Frame, Motion, ScanMotion};
 use presight_model::sensor::Sensor;
-
 use presight_model::world::World;
 
 /// What a localizer knows.
@@ -91,6 +89,9 @@ pub struct Step {
     pub odds: f64,
     /// True if the frame had no evidence for the pose, which was carried on by odometry or the last motion.
     pub carried: bool,
+    /// The motion of the robot during the scan, as the estimate has it; `None` if all rays are measured at once. With it
+    /// [`Frame::with_scan_motion`] and [`Frame::deskewed`] repeat what the localizer did with the frame.
+    pub scan_motion: Option<ScanMotion>,
 }
 
 impl Step {

@@ -51,7 +51,7 @@ pub struct Residuals {
     squares: f64,
     rows: usize,
     last: Option<Seen>,
-    turn_s: f64,
+    after_stamp: f64,
 }
 
 /// A figure and its deviation.
@@ -74,7 +74,7 @@ impl Residuals {
     /// For a scanner whose scans are dated `after_stamp` seconds after their stamps.
     pub fn new(after_stamp: f64) -> Self {
         let (information, right) = ([[0.0; N]; N], [0.0; N]);
-        Self { information, right, squares: 0.0, rows: 0, last: None, turn_s: after_stamp }
+        Self { information, right, squares: 0.0, rows: 0, last: None, after_stamp }
     }
 
     /// Takes in a motion between two poses that were both tracked, and the odometry between them.
@@ -140,7 +140,7 @@ impl Residuals {
             turned: (b.atan2(1.0 + a), sigma(1) / scale),
             ahead: (x, sigma(2)),
             left: (y, sigma(3)),
-            late: (c - self.turn_s, sigma(4)),
+            late: (c - self.after_stamp, sigma(4)),
         })
     }
 

@@ -2,12 +2,13 @@
 //! of motion and odometry is watched.
 
 use super::residuals::Residuals;
-use super::turning::{at_once, check};
-use super::velocity::{Stamps, Velocity};
+use super::turning::check;
+use super::velocity::{Stamps, Velocity, twist_of};
 use super::{Localizer, Phase, State, Step};
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
-use presight_model::measured::Frame;
+use presight_model::measured::{Frame, ScanMotion};
+use presight_model::sensor::Sensor;
 use presight_model::world::World;
 
 /// A larger share of frames that contradict the odometry gives a warning: with the stated noise the share is 1 in 10,000.
@@ -28,10 +29,15 @@ pub(super) struct Timing {
     before: Option<(f64, Pose)>,
 }
 
-/// How the times of a frame's sensor are known: its scans count as measured in the middle of their turns.
+/// Seconds from the stamp to the middle of a scan, and half of the scan's duration.
+pub(super) fn middle_of(sensor: &Sensor) -> (f64, f64) {
+    let [first, last] = sensor.scan_interval();
+    (0.5 * (first + last), 0.5 * (last - first))
+}
+
+/// How the times of a frame's sensor are known: its scans count as measured in their middle.
 pub(super) fn stamps_of(frame: &Frame) -> Stamps {
-    let spec = frame.sensor().spec();
-    Stamps { sigma: spec.noise.stamp_sigma, late: 0.5 * spec.turn_s.abs() }
+    Stamps { sigma: frame.sensor().spec().noise.stamp_sigma, late: middle_of(frame.sensor()).0 }
 }
 
 impl Localizer {
@@ -42,15 +48,16 @@ impl Localizer {
     /// # Errors
     /// Those of [`Localizer::step`].
     pub fn step_together(&mut self, world: &World, frame: &Frame, beside: &[&Frame]) -> Result<Step> {
-        let spec = frame.sensor().spec();
-        let (turn_s, stamp_sigma) = (spec.turn_s.abs(), spec.noise.stamp_sigma);
+        let ((middle, half), stamp_sigma) = (middle_of(frame.sensor()), frame.sensor().spec().noise.stamp_sigma);
         check(frame, frame.stamp - *self.timing.first.get_or_insert(frame.stamp), self.timing.count as f64)?;
         let thin = self.thinned_for_search(frame)?;
         let whole = thin.as_ref().unwrap_or(frame);
-        let still = if turn_s > 0.0 { Some(self.put_to_middle(world, whole)?) } else { None };
+        let still = if half > 0.0 { Some(self.put_to_middle(world, whole)?) } else { None };
+        let (still, motion) = still.unzip();
         let step = self.step_at_once(world, still.as_ref().unwrap_or(whole), beside);
         self.estimator.set_twist_error([[0.0; 6]; 6]);
         let mut step = step?;
+        step.scan_motion = motion;
         if let Some(thin) = &thin {
             // Verdicts of these pixels would not fit the frame.
             step.estimate.verdicts.clear();
@@ -66,9 +73,9 @@ impl Localizer {
         }
         self.timing.count += 1;
         self.watch(&step, frame);
-        if turn_s > 0.0 || stamp_sigma > 0.0 {
+        if half > 0.0 || stamp_sigma > 0.0 {
             let freedom = self.estimator.options.freedom;
-            step.pose = self.velocity.before(&step.pose, 0.5 * turn_s, stamp_sigma, freedom);
+            step.pose = self.velocity.before(&step.pose, middle, stamp_sigma, freedom);
             step.stamp = frame.stamp;
         }
         Ok(step)
@@ -105,19 +112,19 @@ impl Localizer {
 
     /// A scan as from the middle of its turn. The motion of the turn is not known before the scan is matched: it is matched once with the
     /// last motion, and then put right with the one that this leads to. The estimator then receives the covariance of the remaining error.
-    fn put_to_middle(&mut self, world: &World, frame: &Frame) -> Result<Frame> {
-        let (freedom, half) = (self.estimator.options.freedom, 0.5 * frame.sensor().spec().turn_s.abs());
+    fn put_to_middle(&mut self, world: &World, frame: &Frame) -> Result<(Frame, ScanMotion)> {
+        let (freedom, (middle, half)) = (self.estimator.options.freedom, middle_of(frame.sensor()));
         let (Some(stamp), Some(belief)) = (self.stamp, self.followed_pose()) else {
             return self.undone(frame, &self.velocity.clone(), half);
         };
-        let seconds = frame.stamp + half - stamp;
+        let seconds = frame.stamp + middle - stamp;
         if !(seconds > 0.0) {
             return self.undone(frame, &self.velocity.clone(), half);
         }
         let mut velocity = self.velocity.clone();
         let (_, prior) = velocity.carry(&belief, seconds, frame.motion.as_ref(), stamps_of(frame), freedom);
         let first = self.undone(frame, &velocity, half)?;
-        let estimate = self.estimator.refine(world, &first, &prior)?;
+        let estimate = self.estimator.refine(world, &first.0, &prior)?;
         if !estimate.is_determined() {
             return Ok(first);
         }
@@ -126,17 +133,19 @@ impl Localizer {
     }
 
     /// A scan without the motion of its turn, half a turn before and after the time that the velocity holds for.
-    fn undone(&mut self, frame: &Frame, velocity: &Velocity, half: f64) -> Result<Frame> {
+    fn undone(&mut self, frame: &Frame, velocity: &Velocity, half: f64) -> Result<(Frame, ScanMotion)> {
         let (twist, covariance) = velocity.within(-half, half);
         self.estimator.set_twist_error(covariance);
-        at_once(frame, &twist)
+        let motion = ScanMotion::Twist(twist_of(&twist));
+        let still = frame.clone().with_scan_motion(motion.clone()).deskewed(middle_of(frame.sensor()).0)?;
+        Ok((still, motion))
     }
 
     /// Compares the motion between two frames in a row that were tracked with the odometry.
     fn watch(&mut self, step: &Step, frame: &Frame) {
         let now = (step.phase == Phase::Tracking).then_some((step.stamp, step.pose.world_from_robot));
-        let half_turn = 0.5 * frame.sensor().spec().turn_s.abs();
-        let residuals = self.timing.residuals.get_or_insert_with(|| Residuals::new(half_turn));
+        let (middle, _) = middle_of(frame.sensor());
+        let residuals = self.timing.residuals.get_or_insert_with(|| Residuals::new(middle));
         match (self.timing.before, now, &frame.motion) {
             (Some((then, before)), Some((stamp, now)), Some(odometry)) => {
                 residuals.add(&(before.inverse() * now), odometry, stamp - then);

@@ -13,8 +13,8 @@ use super::drift::variance_of_means;
 use super::on_the_floor;
 use crate::estimate::Freedom;
 use crate::motion::{Vector, motion_between};
-use glam::{DMat3, DQuat, DVec3};
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
+use glam::DVec3;
+use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose, Twist};
 use presight_model::matrix::{Matrix, apply, inverse, product, restricted, turn};
 use presight_model::measured::Motion;
 use presight_model::statistics::chi_squared_quantile;
@@ -492,35 +492,20 @@ fn restricted_vector(v: &Vector, freedom: Freedom) -> Vector {
     std::array::from_fn(|i| v[i] * ones[i][i])
 }
 
-/// The motion of a constant twist over `seconds`: previous_from_current, the exponential of a rigid motion.
+/// The motion of a constant twist over `seconds`: previous_from_current.
 pub fn along(twist: &Vector, seconds: f64) -> Pose {
-    let [x, y, z, rx, ry, rz] = twist.map(|v| v * seconds);
-    let angles = DVec3::new(rx, ry, rz);
-    Pose { translation: mean_turn(angles) * DVec3::new(x, y, z), rotation: DQuat::from_scaled_axis(angles) }
+    twist_of(twist).over(seconds)
 }
 
 /// The constant twist that leads to a pose in `seconds`: the inverse of [`along`].
 pub fn rate(previous_from_current: &Pose, seconds: f64) -> Vector {
-    let [.., rx, ry, rz] = motion_between(&Pose::IDENTITY, previous_from_current);
-    let angles = DVec3::new(rx, ry, rz);
-    let way = mean_turn(angles).inverse() * previous_from_current.translation;
-    [way.x, way.y, way.z, rx, ry, rz].map(|v| v / seconds)
+    let Twist { linear, angular } = Twist::to(previous_from_current, seconds);
+    [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
 }
 
-/// The mean of the rotations on the way to one: what a constant speed is turned by.
-fn mean_turn(angles: DVec3) -> DMat3 {
-    let theta = angles.length();
-    let skew = DMat3::from_cols(
-        DVec3::new(0.0, angles.z, -angles.y),
-        DVec3::new(-angles.z, 0.0, angles.x),
-        DVec3::new(angles.y, -angles.x, 0.0),
-    );
-    let (first, second) = if theta < 1e-4 {
-        (0.5, 1.0 / 6.0)
-    } else {
-        ((1.0 - theta.cos()) / (theta * theta), (theta - theta.sin()) / theta.powi(3))
-    };
-    DMat3::IDENTITY + first * skew + second * skew * skew
+/// Six numbers as a twist.
+pub fn twist_of([x, y, z, rx, ry, rz]: &Vector) -> Twist {
+    Twist::new(DVec3::new(*x, *y, *z), DVec3::new(*rx, *ry, *rz))
 }
 
 #[cfg(test)]

@@ -146,6 +146,14 @@ impl Pose {
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
+    /// The pose at a share of the distance to another: linear in the position, spherically linear in the orientation.
+    pub fn between(&self, other: &Self, share: f64) -> Self {
+        Self {
+            rotation: self.rotation.slerp(other.rotation, share).normalize(),
+            translation: self.translation.lerp(other.translation, share),
+        }
+    }
+
     /// Transforms a point from frame b to frame a.
     #[inline]
     pub fn transform_point(&self, p_in_b: DVec3) -> DVec3 {

@@ -3,17 +3,20 @@
 //! A [`Frame`] has the pixel order, the frames and the special values of a prediction, so that the two can be compared
 //! pixel by pixel. Values follow REP-117: `-inf` means too near, `+inf` nothing within reach, NaN no measurement.
 
+mod deskew;
 mod grey;
+mod motion;
 mod noise;
 mod range_grid;
 
 pub use grey::GreyImage;
+pub use motion::{MAX_POSE_GAP_S, ScanMotion};
 pub use noise::RangeNoise;
 pub use range_grid::{RangeGrid, range_grid};
 
 use crate::error::{Error, Result};
 use crate::geometry::{InRobot, Pose, PoseCovariance};
-use crate::sensor::{Angles, Camera, Geometry, RayTable, Scanner, Sensor, SensorSpec};
+use crate::sensor::{Angles, Camera, Geometry, RayTable, RayTimes, Scanner, Sensor, SensorSpec};
 
 /// The values that a sensor measured, row by row.
 #[derive(Clone, Debug, PartialEq)]
@@ -107,6 +110,8 @@ pub struct Frame {
     measurement: Measurement,
     ranges: Vec<f32>,
     intensities: Option<GreyImage>,
+    scan_motion: Option<ScanMotion>,
+    deskewed_by: Option<f64>,
 }
 
 impl Frame {
@@ -140,7 +145,7 @@ impl Frame {
         let limits = sensor.spec().range_min as f32..=sensor.spec().range_max as f32;
         let is_none = |r: f32| r == 0.0 || r.is_finite() && !limits.contains(&r);
         ranges.iter_mut().filter(|r| is_none(**r)).for_each(|r| *r = f32::NAN);
-        Ok(Self { stamp, motion: None, sensor, measurement, ranges, intensities: None })
+        Ok(Self::of(stamp, sensor, measurement, ranges))
     }
 
     /// Adds the echo intensity of each pixel: 1 is as bright as a retro-reflector, NaN means no echo.
@@ -172,6 +177,28 @@ impl Frame {
         Ok(Self { intensities: Some(intensities), ..self })
     }
 
+    fn of(stamp: f64, sensor: Sensor, measurement: Measurement, ranges: Vec<f32>) -> Self {
+        let (motion, intensities, scan_motion, deskewed_by) = (None, None, None, None);
+        Self { stamp, motion, sensor, measurement, ranges, intensities, scan_motion, deskewed_by }
+    }
+
+    /// Adds the motion of the robot while the rays were measured, at the times of [`SensorSpec::times`].
+    #[must_use]
+    pub fn with_scan_motion(self, motion: ScanMotion) -> Self {
+        Self { scan_motion: Some(motion), ..self }
+    }
+
+    /// The motion of the robot while the rays were measured; `None` if unknown.
+    pub fn scan_motion(&self) -> Option<&ScanMotion> {
+        self.scan_motion.as_ref()
+    }
+
+    /// Seconds from the stamp of the scan to the moment to which its points were moved ([`Frame::deskewed`]); `None` if
+    /// they were not.
+    pub fn deskewed_by(&self) -> Option<f64> {
+        self.deskewed_by
+    }
+
     fn of_grey(stamp: f64, sensor: Sensor, image: GreyImage) -> Result<Self> {
         let (width, height) = (sensor.width(), sensor.height());
         if (image.width(), image.height()) != (width, height) {
@@ -185,7 +212,7 @@ impl Frame {
         // A grey image has no ranges.
         let ranges = vec![f32::NAN; image.values().len()];
         let measurement = Measurement::Grey(image);
-        Ok(Self { stamp, motion: None, sensor, measurement, ranges, intensities: None })
+        Ok(Self::of(stamp, sensor, measurement, ranges))
     }
 
     /// The sensor that measured.
@@ -247,6 +274,8 @@ impl Frame {
             measurement,
             ranges: pick(&self.ranges),
             intensities: self.intensities.as_ref().map(pick_image).transpose()?,
+            scan_motion: self.scan_motion.clone(),
+            deskewed_by: self.deskewed_by,
         })
     }
 }
@@ -310,11 +339,26 @@ fn thinned_spec(spec: &SensorSpec, columns: PixelStride, rows: PixelStride) -> R
         }
         Geometry::Rays(table) => {
             let at = |c: u32, r: u32| table.directions()[(rows.at(r) * table.width() + columns.at(c)) as usize];
-            let directions = (0..rows.count).flat_map(|r| (0..columns.count).map(move |c| at(c, r))).collect();
-            Geometry::Rays(RayTable::new(columns.count, rows.count, directions)?)
+            let pixels = || (0..rows.count).flat_map(|r| (0..columns.count).map(move |c| (c, r)));
+            let thin = RayTable::new(columns.count, rows.count, pixels().map(|(c, r)| at(c, r)).collect())?;
+            Geometry::Rays(match table.origins() {
+                Some(from) => {
+                    let from = pixels().map(|(c, r)| from[(rows.at(r) * table.width() + columns.at(c)) as usize]);
+                    thin.with_origins(from.collect())?
+                }
+                None => thin,
+            })
         }
     };
-    Ok(SensorSpec { geometry, ..spec.clone() })
+    let times = match &spec.times {
+        RayTimes::AtOnce => RayTimes::AtOnce,
+        times => {
+            let size = spec.geometry.size();
+            let pixels = (0..rows.count).flat_map(|r| (0..columns.count).map(move |c| (columns.at(c), rows.at(r))));
+            RayTimes::Listed(pixels.map(|(c, r)| times.seconds(c, r, size) as f32).collect())
+        }
+    };
+    Ok(SensorSpec { geometry, times, ..spec.clone() })
 }
 
 fn ranges_of_depth(sensor: &Sensor, depth_z: &[f32]) -> Result<Vec<f32>> {

@@ -16,6 +16,7 @@ mod ray_grid;
 mod ray_tiles;
 mod rays;
 mod scanner;
+mod times;
 mod undistort;
 
 pub use camera::Camera;
@@ -34,6 +35,7 @@ pub use ray_grid::{RayGrid, Tile};
 pub use ray_tiles::{GROUP, GROUPS, GroupLayout, RayTile, RayTiles};
 pub use rays::RayTable;
 pub use scanner::{Angles, SAME_ANGLE, Scanner};
+pub use times::{RayTimes, StampAt};
 pub use undistort::Lens;
 
 use crate::error::{Error, ErrorKind, Result};
@@ -93,9 +95,8 @@ pub struct SensorSpec {
     pub optical_from_image: DQuat,
     /// Measurement noise.
     pub noise: Noise,
-    /// Seconds from the first column of an image to one step behind the last; column i of n is measured `turn_s * i /
-    /// n` after the stamp. Negative if the last column is measured first. 0 if all are measured at the same time.
-    pub turn_s: f64,
+    /// When each ray is measured.
+    pub times: RayTimes,
 }
 
 impl SensorSpec {
@@ -111,7 +112,7 @@ impl SensorSpec {
             mount: Pose::IDENTITY,
             optical_from_image: DQuat::IDENTITY,
             noise: Noise::default(),
-            turn_s: 0.0,
+            times: RayTimes::AtOnce,
         }
     }
 
@@ -160,10 +161,10 @@ impl SensorSpec {
         }
     }
 
-    /// With another turn time, seconds: see [`SensorSpec::turn_s`].
+    /// With other times of its rays.
     #[must_use]
-    pub fn with_turn_s(self, turn_s: f64) -> Self {
-        Self { turn_s, ..self }
+    pub fn with_times(self, times: RayTimes) -> Self {
+        Self { times, ..self }
     }
 
     /// With other noise.
@@ -286,6 +287,34 @@ impl Sensor {
         inside.then(|| self.0.grid.ray(column, row)).flatten()
     }
 
+    /// True if the rays of a table start beside the sensor's own origin: see [`RayTable::with_origins`].
+    pub fn has_origins(&self) -> bool {
+        matches!(&self.0.spec.geometry, Geometry::Rays(table) if table.origins().is_some())
+    }
+
+    /// Where the ray of a pixel starts: metres from the sensor's own origin, body axes.
+    #[inline]
+    pub fn origin(&self, column: u32, row: u32) -> DVec3 {
+        match &self.0.spec.geometry {
+            Geometry::Rays(table) => table.origins().map_or(DVec3::ZERO, |origins| {
+                let (column, row) = (self.whole_column(column), row * self.part_stride());
+                origins[row as usize * table.width() as usize + column as usize]
+            }),
+            _ => DVec3::ZERO,
+        }
+    }
+
+    /// Seconds from the stamp of a frame to when the ray of a pixel is measured.
+    pub fn seconds_after_stamp(&self, column: u32, row: u32) -> f64 {
+        let (column, row) = (self.whole_column(column), row * self.part_stride());
+        self.spec().times.seconds(column, row, self.spec().geometry.size())
+    }
+
+    /// Seconds from the stamp of a frame to its earliest ray and to its latest.
+    pub fn scan_interval(&self) -> [f64; 2] {
+        self.spec().times.interval(self.spec().geometry.size())
+    }
+
     /// Arrangement of rays in tiles, without building any.
     #[doc(hidden)]
     pub fn ray_layout(&self) -> GroupLayout {
@@ -345,9 +374,6 @@ fn ray_table_bytes(spec: &SensorSpec) -> u64 {
     }
 }
 
-/// Maximum duration of a scanner's turn, seconds.
-const MAX_TURN_S: f64 = 60.0;
-
 fn check(spec: &SensorSpec) -> Result<()> {
     let (width, height) = spec.geometry.size();
     let side = 1..=limits::MAX_IMAGE_SIDE;
@@ -382,12 +408,6 @@ fn check(spec: &SensorSpec) -> Result<()> {
             "give more than 0 and at most 90 degrees",
         ));
     }
-    if !(spec.turn_s.abs() <= MAX_TURN_S) {
-        let what = format!("turn_s of {} s", spec.turn_s);
-        return Err(Error::invalid(
-            what,
-            format!("give seconds, at most {MAX_TURN_S}; 0 if all columns are measured at the same time"),
-        ));
-    }
+    spec.times.check(spec.geometry.size())?;
     spec.noise.check()
 }

@@ -3,12 +3,16 @@
 use crate::error::{Error, Result};
 use glam::DVec3;
 
-/// Ray directions of a single-centre sensor, row-major, body axes.
+/// Largest distance of the origin of a ray from the origin of its sensor along each axis, metres: no housing is larger.
+pub const MAX_ORIGIN: f64 = 2.0;
+
+/// Rays, row-major, body axes. They start at the origin of the sensor, or each at its own point.
 #[derive(Clone, Debug)]
 pub struct RayTable {
     width: u32,
     height: u32,
     directions: Vec<DVec3>,
+    origins: Option<Vec<DVec3>>,
 }
 
 /// Two pixels without a ray compare as equal, although NaN is not equal to itself.
@@ -17,6 +21,7 @@ impl PartialEq for RayTable {
         let same = |(a, b): (&DVec3, &DVec3)| a == b || (a.is_nan() && b.is_nan());
         (self.width, self.height) == (other.width, other.height)
             && self.directions.len() == other.directions.len()
+            && self.origins == other.origins
             && self.directions.iter().zip(&other.directions).all(same)
     }
 }
@@ -52,7 +57,32 @@ impl RayTable {
                 *d = (*d / longest).normalize();
             }
         }
-        Ok(Self { width, height, directions: unit })
+        Ok(Self { width, height, directions: unit, origins: None })
+    }
+
+    /// Rays that start beside the origin of the sensor: an origin for each ray, metres, body axes. Zero for all rays
+    /// equals none.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] if their number is not width x height, or one is not finite or beyond
+    /// [`MAX_ORIGIN`] metres.
+    pub fn with_origins(self, origins: Vec<DVec3>) -> Result<Self> {
+        if origins.len() != self.directions.len() {
+            let what = format!("{} origins for {} x {} rays", origins.len(), self.width, self.height);
+            return Err(Error::invalid(what, "give one origin per ray, row by row"));
+        }
+        if let Some(at) = origins.iter().position(|o| !(o.abs().max_element() <= MAX_ORIGIN)) {
+            let what = format!("an origin at {} m", origins[at]);
+            let remedy = format!("give metres from the sensor's own origin, at most {MAX_ORIGIN} along each axis");
+            return Err(Error::invalid(what, remedy).at(format!("ray {at}")));
+        }
+        let origins = origins.iter().any(|o| *o != DVec3::ZERO).then_some(origins);
+        Ok(Self { origins, ..self })
+    }
+
+    /// Where each ray starts, metres, row-major, body axes; `None` if all start at the origin of the sensor.
+    pub fn origins(&self) -> Option<&[DVec3]> {
+        self.origins.as_deref()
     }
 
     /// Columns.

@@ -7,7 +7,7 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::limits;
 use presight_model::printable::quoted;
-use presight_model::sensor::{Camera, Distortion, Geometry, RayTable, Scanner, SensorSpec};
+use presight_model::sensor::{Camera, Distortion, Geometry, RayTable, RayTimes, Scanner, SensorSpec, StampAt};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -41,7 +41,10 @@ macro_rules! sensor_file {
                     range_min: Some(spec.range_min),
                     range_max: Some(spec.range_max),
                     max_incidence_deg: spec.max_incidence.map(degrees),
-                    turn_s: Some(spec.turn_s).filter(|turn| *turn != 0.0),
+                    turn_s: match spec.times {
+                        RayTimes::Columns { turn_s, .. } => Some(turn_s),
+                        _ => None,
+                    },
                     mount: MountTable::of(&spec.mount),
                     noise: NoiseTable::of(&spec.noise),
                     ..Self::default()
@@ -53,7 +56,7 @@ macro_rules! sensor_file {
                 let mut spec = SensorSpec::new(name, class, geometry);
                 spec.range_min = self.range_min.unwrap_or(0.0);
                 spec.range_max = self.range_max.unwrap_or(f64::INFINITY);
-                spec.turn_s = self.turn_s.unwrap_or(0.0);
+                spec.times = RayTimes::turning(self.turn_s.unwrap_or(0.0), StampAt::First);
                 spec.max_incidence = self.max_incidence_deg.map(f64::to_radians);
                 spec.mount = self.mount.as_ref().map_or(Ok(Pose::IDENTITY), |m| m.pose().map_err(|e| e.at("[mount]")))?;
                 spec.noise = self.noise.as_ref().map(NoiseTable::noise).unwrap_or_default();

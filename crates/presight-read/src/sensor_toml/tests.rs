@@ -2,7 +2,7 @@ use super::*;
 use glam::DVec3;
 use presight_model::error::ErrorKind;
 use presight_model::geometry::Pose;
-use presight_model::sensor::{Angles, Camera, Distortion, Mixture, Noise, RayTable, Scanner};
+use presight_model::sensor::{Angles, Camera, Distortion, Mixture, Noise, RayTable, RayTimes, Scanner, StampAt};
 use presight_model::sensor::{PRESETS, Sensor};
 use proptest::prelude::*;
 
@@ -196,7 +196,7 @@ proptest! {
             spec.optical_from_image = spec.mount.rotation;
         }
         let mixture = Mixture { hit: 0.5, short: 0.25, none: 0.125, any: 0.125, beam_dependence: 1.0 + sigma };
-        spec.turn_s = if far { -sigma } else { 0.0 };
+        spec.times = RayTimes::turning(if far { -sigma } else { 0.0 }, StampAt::First);
         spec.noise = Noise {
             range_sigma: sigma,
             stamp_sigma: if far { sigma / 3.0 } else { 0.0 },

@@ -9,7 +9,9 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::limits;
 use presight_model::measured::{Frame, GreyImage, Measurement, RangeGrid, range_grid};
-use presight_model::sensor::{Angles, Geometry, Scanner, Sensor, SensorSpec, body_from_optical_rotation};
+use presight_model::sensor::{
+    Angles, Geometry, RayTimes, Scanner, Sensor, SensorSpec, StampAt, body_from_optical_rotation,
+};
 use presight_ros::message::{CameraInfo, CompressedImage, Image, LaserScan, Message, PointCloud2};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -57,8 +59,8 @@ impl Converter {
                 }
             }
         };
-        if self.given.as_ref().is_none_or(|given| given.spec().turn_s == 0.0) {
-            spec = spec.with_turn_s(turn_s);
+        if self.given.as_ref().is_none_or(|given| given.spec().times.is_at_once()) {
+            spec = spec.with_times(RayTimes::turning(turn_s, StampAt::First));
         }
         let spec = spec.with_mount(self.mount);
         if let Some(sensor) = self.sensor.as_ref().filter(|s| *s.spec() == spec) {
