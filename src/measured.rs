@@ -2,5 +2,5 @@
 
 #[doc(inline)]
 pub use presight_model::measured::{
-    Frame, GreyImage, MAX_POSE_GAP_S, Measurement, Motion, OdometryNoise, RangeNoise, ScanMotion,
+    Frame, FrameAtMoment, GreyImage, MAX_POSE_GAP_S, Measurement, Motion, OdometryNoise, RangeNoise, ScanMotion,
 };

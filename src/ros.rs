@@ -85,7 +85,9 @@ pub fn comparison(
     robot: &PoseEstimate,
     origin: &MessageOrigin,
 ) -> Result<Vec<Record>> {
-    let sensor = frame.sensor();
+    // The estimate is of that moment.
+    let moment = frame.at_one_moment()?;
+    let (frame, sensor) = (&*moment.frame, moment.frame.sensor());
     let wanted = Outputs::of(&[Output::Range, Output::ObjectId]);
     let (pose, mut images) = (robot.robot().sensor(sensor), Images::default());
     predictor.predict_images(world, sensor, &pose, MessageOrigin::outputs(sensor, wanted), &mut images)?;

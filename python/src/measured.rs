@@ -272,68 +272,72 @@ impl Verdicts {
 
 /// Where the robot is after a frame.
 #[pyclass(frozen, module = "presight")]
-pub struct Step {
-    pub step: OurStep,
-}
+pub struct Step(pub OurStep);
 
 #[pymethods]
 impl Step {
     /// The robot's pose in the world: (7,) x y z qx qy qz qw.
     #[getter]
     fn pose<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        array(py, pose_numbers(&self.step.pose.world_from_robot).to_vec(), &[7])
+        array(py, pose_numbers(&self.0.pose.world_from_robot).to_vec(), &[7])
     }
 
     /// Its covariance: (6, 6), x y z and rotations about x y z, along the world's axes, metres and radians.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        array(py, self.step.pose.covariance.as_rows().as_flattened().to_vec(), &[6, 6])
+        array(py, self.0.pose.covariance.as_rows().as_flattened().to_vec(), &[6, 6])
     }
 
     /// The name of the localizer's state, such as "tracking". The guide on localization says in which states the pose is known.
     #[getter]
     fn state(&self) -> &'static str {
-        self.step.phase.name()
+        self.0.phase.name()
     }
 
     /// Why, with numbers.
     #[getter]
     fn reason(&self) -> &str {
-        &self.step.reason
+        &self.0.reason
     }
 
     /// True if one pose is known: it was given at the start, or it was found.
     #[getter]
     fn is_known(&self) -> bool {
-        self.step.is_known()
+        self.0.is_known()
     }
 
     /// The verdict on each pixel of the frame, or None if nothing was compared.
     #[getter]
     fn verdicts(&self) -> Option<Verdicts> {
-        self.step.estimate.verdicts.first().cloned().map(Verdicts)
+        self.0.estimate.verdicts.first().cloned().map(Verdicts)
     }
 
     /// Fraction of the measured points that the model explains.
     #[getter]
     fn explained(&self) -> f64 {
-        self.step.estimate.explained
+        self.0.estimate.explained
     }
 
     /// Directions that the measurement does not determine, such as "x" or "x+yaw".
     #[getter]
     fn weak(&self) -> Vec<String> {
-        self.step.estimate.weak.iter().map(|weak| weak.name.clone()).collect()
+        self.0.estimate.weak.iter().map(|weak| weak.name.clone()).collect()
     }
 
     /// The frame's time, seconds.
     #[getter]
     fn time(&self) -> f64 {
-        self.step.stamp
+        self.0.stamp
+    }
+
+    /// A frame of this step with the motion of the robot that was found for its scan, if the scan takes time: `Predictor.verdicts`
+    /// then compares what the localizer compared.
+    fn moving(&self, frame: &Bound<'_, Frame>) -> Frame {
+        Frame(self.0.moving(&frame.get().0).into_owned())
     }
 
     fn __repr__(&self) -> String {
-        let t = self.step.pose.world_from_robot.translation;
+        let t = self.0.pose.world_from_robot.translation;
         format!("<presight.Step {} at {:.3}, {:.3}, {:.3}>", self.state(), t.x, t.y, t.z)
     }
 }
@@ -441,7 +445,7 @@ impl Localizer {
                         None => follower.insert(self.start.localizer(&self.world, frame.sensor(), self.threads)?),
                     };
                     let step = localizer.step(&self.world, frame)?;
-                    Ok::<_, Failed>(Step { step })
+                    Ok::<_, Failed>(Step(step))
                 },
             )
         })

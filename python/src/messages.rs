@@ -141,7 +141,7 @@ impl Messages {
     /// What `presight localize --mcap` writes of a step. `ahead` seconds are added to the stamp of the transform, as AMCL does.
     #[pyo3(signature = (step, ahead = 0.0))]
     fn answers<'py>(&self, py: Python<'py>, step: &Bound<'_, Step>, ahead: f64) -> PyResult<Vec<Sent<'py>>> {
-        let step = &step.get().step;
+        let step = &step.get().0;
         let records = apart(py, || {
             let origin = self.origin()?;
             let later = MessageOrigin { stamp_ns: origin.stamp_ns + (ahead * 1e9).round() as i64, ..origin.clone() };
@@ -164,7 +164,7 @@ impl Messages {
         frame: &Bound<'_, Frame>,
         step: &Bound<'_, Step>,
     ) -> PyResult<Vec<Sent<'py>>> {
-        let (predictor, scene, frame, step) = (predictor.get(), scene.get(), &frame.get().0, &step.get().step);
+        let (predictor, scene, frame, step) = (predictor.get(), scene.get(), &frame.get().0, &step.get().0);
         let records = apart(py, || {
             let Some(verdicts) = step.estimate.verdicts.first().filter(|_| step.is_known()) else { return Ok(vec![]) };
             let (origin, world) = (self.origin()?, scene.seen().world);

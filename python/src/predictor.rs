@@ -315,7 +315,8 @@ impl Predictor {
     /// The log-likelihood of measured ranges at each pose: (poses,), float64, or with `headings` at this number of headings of each place:
     /// (poses, headings), float32, where heading k turns the sensor's x axis 360 k / headings degrees to the left.
     ///
-    /// `sensed` is a `Frame`, or ranges of (rows, columns) in metres: inf for nothing, -inf for too near, NaN for no reading. `cell` is
+    /// `sensed` is a `Frame`, or ranges of (rows, columns) in metres: inf for nothing, -inf for too near, NaN for no reading. Poses are
+    /// those at the frame's time; a scan that takes time is compared in its middle. `cell` is
     /// the size of the cell that each pose stands for, in metres and degrees (None: 0, with headings the step between them). The
     /// sensor needs `range_sigma` and a finite `range_max`. Only differences are meaningful.
     ///
@@ -345,17 +346,24 @@ impl Predictor {
             return Err(usage(py, "headings", what, "give poses of the sensor"));
         }
         let Given { world, sensor, poses } = Given::new(scene, sensor, poses, conventions)?;
-        let ranges = match sensed.cast::<Frame>() {
-            Ok(frame) => frame.get().0.ranges().to_vec(),
-            Err(_) => numbers::<f32>(sensed, "sensed")?.1,
+        let moving = sensed.cast::<Frame>().ok().map(|frame| frame.get().0.clone());
+        let ranges = match &moving {
+            Some(frame) => frame.ranges().to_vec(),
+            None => numbers::<f32>(sensed, "sensed")?.1,
         };
         let step = headings.map_or(0.0, |n| 360.0 / f64::from(n.max(1)));
         let cell = PoseCell { side: cell.0, turn: cell.1.unwrap_or(step).to_radians() };
         room_for(Some(4 * poses.len() as u64 * u64::from(headings.unwrap_or(2))))?;
         let count = poses.len();
         let (single, by_heading) = apart(py, || {
-            let frame = OurFrame::new(0.0, sensor.clone(), Measurement::Range(ranges)).map_err(|e| e.at("sensed"))?;
-            let likelihood = Some(RangeLikelihood::new(&frame, cell).map_err(|e| e.at("sensed"))?);
+            let mut frame = OurFrame::new(0.0, sensor, Measurement::Range(ranges)).map_err(|e| e.at("sensed"))?;
+            if let Some(motion) = moving.as_ref().and_then(|frame| frame.scan_motion()) {
+                frame = frame.with_scan_motion(motion.clone());
+            }
+            let moment = frame.at_one_moment().map_err(|e| e.at("sensed"))?;
+            let (frame, sensor) = (&*moment.frame, moment.frame.sensor().clone());
+            let poses: Vec<SensorPose> = poses.iter().map(|pose| moment.sensor(pose)).collect();
+            let likelihood = Some(RangeLikelihood::new(frame, cell).map_err(|e| e.at("sensed"))?);
             let headings = headings.map(|count| Headings::new(&sensor, count)).transpose()?;
             let request = BatchRequest { likelihood, headings, ..BatchRequest::default() };
             let (mut single, mut by_heading) = (Vec::new(), Vec::new());
@@ -373,8 +381,9 @@ impl Predictor {
         }
     }
 
-    /// What each measured pixel says of the model: see `Verdicts`. `pose` is the robot's and `pose_cov` its uncertainty, as for
-    /// `predict`; the mount of the frame's sensor leads from the robot to the sensor.
+    /// What each measured pixel says of the model: see `Verdicts`. `pose` is the robot's at the frame's time and `pose_cov` its
+    /// uncertainty, as for `predict`; the mount of the frame's sensor leads from the robot to the sensor. A scan that takes time is
+    /// compared in its middle.
     ///
     /// >>> frame = presight.Frame(scanner, 0.0, sensed)
     /// >>> verdicts = predictor.verdicts(room, frame, poses[1], pose_cov=[0.001, 0.001, 0.001, 0.05, 0.05, 0.05])

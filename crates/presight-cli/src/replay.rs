@@ -168,7 +168,7 @@ fn given(args: &Args, files: OutputFiles, bag: &mut ComparedBag) -> Result<Comma
     let scene = args.drive.scene()?;
     files.check_scene(&scene.files)?;
     let (mut with, mut without) = (0, 0);
-    args.drive.read(&scene, |scene, Observation { frame, reference, recorded }| {
+    args.drive.read(&scene, None, |scene, Observation { frame, reference, recorded }| {
         let Some(reference) = reference else {
             without += 1;
             return Ok(());
@@ -211,7 +211,9 @@ impl Painter {
         let marks = step.estimate.findings.first().map(marks).unwrap_or_default();
         let grey = sensed.grey().and_then(Frame::grey);
         let grey = grey.map(|image| GreyPanel { image, marks: &marks, legend: &FEATURES });
-        let (frame, sensor) = (sensed.frame, sensed.frame.sensor());
+        // The estimate is of that moment.
+        let moment = sensed.frame.at_one_moment()?;
+        let (frame, sensor) = (&*moment.frame, moment.frame.sensor());
         let legend = Judged::ALL.map(|verdict| (word(verdict), verdict.color()));
         if frame.grey().is_some() {
             let nothing = Images::default();

@@ -17,6 +17,8 @@ use beside::LogBeside;
 use features::{not_sought, not_sought_in_scans};
 use indicatif::ProgressBar;
 use presight::environment::IndexKind;
+#[cfg(any(feature = "ros", feature = "store"))]
+use presight::files::StampedPose;
 use presight::files::{DepthFolder, ImportOptions, LogFrames, Observation, Recorded, load_sensor};
 use presight::localize::{Estimator, Freedom, Phase, Step};
 use presight::measured::Frame;
@@ -40,9 +42,10 @@ pub struct Drive {
     pub map: PathBuf,
 
     /// Start pose of the robot: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, `reference` for the log's first
-    /// pose, or `unknown` to search the whole map at the height of --floor with the roll and pitch of --lean
+    /// pose, or `unknown` to search the whole map at the height of --floor with the roll and pitch of --lean. Needed
+    /// wherever the robot is localized
     #[arg(long, value_name = "POSE", allow_hyphen_values = true)]
-    init: String,
+    init: Option<String>,
 
     /// Standard deviation of the start position along each axis, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.05)]
@@ -147,7 +150,7 @@ pub struct Drive {
     pub threads: usize,
 }
 
-/// The measurements at one time.
+/// The measurements at one time, with the motion of the robot that the localizer found for them.
 pub struct Sensed<'a> {
     /// Ranges, or a grey image in a log of grey images only.
     pub frame: &'a Frame,
@@ -194,10 +197,15 @@ impl Drive {
         visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
     ) -> Result<Followed> {
         self.check_outputs(&files)?;
+        if self.init.is_none() {
+            return Err(Error::usage(
+                "--init is missing",
+                "give a pose, `reference` (the log's first pose) or `unknown`",
+            ));
+        }
         let mut log = self.opened()?;
         let followed = self.follow_log(&mut log, files, resumed, visit);
-        let notices = log.notices();
-        print::notices(&notices.iter().map(|notice| format!("{}: {notice}", self.log.display())).collect::<Vec<_>>());
+        self.print_notices(&log);
         followed
     }
 
@@ -217,17 +225,35 @@ impl Drive {
     }
 
     /// Reads the log without following it. Calls `visit` with each frame, and with its pose and message if the log has
-    /// them.
+    /// them. The motion during scans is that of a trajectory, if one is given.
     ///
     /// # Errors
     /// Errors from reading the log, map and sensor, and from `visit`.
     #[cfg(any(feature = "ros", feature = "store"))]
-    pub fn read(&self, scene: &Scene, mut visit: impl FnMut(&Scene, &Observation) -> Result<()>) -> Result<()> {
+    pub fn read(
+        &self,
+        scene: &Scene,
+        trajectory: Option<&[StampedPose]>,
+        mut visit: impl FnMut(&Scene, &Observation) -> Result<()>,
+    ) -> Result<()> {
         self.check()?;
-        for observation in self.observations(&mut self.opened()?, None) {
+        let mut log = self.opened()?;
+        if let Some(poses) = trajectory {
+            log = log.moving_along(poses).map_err(|e| e.at("--poses"))?;
+        }
+        for observation in self.observations(&mut log, None) {
             visit(scene, &observation?)?;
         }
+        if trajectory.is_some() {
+            self.print_notices(&log);
+        }
         Ok(())
+    }
+
+    /// Prints what the readings of the log were taken as, and what is unknown of its scans.
+    fn print_notices(&self, log: &LogFrames) {
+        let notices = log.notices();
+        print::notices(&notices.iter().map(|notice| format!("{}: {notice}", self.log.display())).collect::<Vec<_>>());
     }
 
     /// Opens the log with its sensor.
@@ -306,7 +332,7 @@ impl Drive {
             let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
             let others = logs_beside.iter_mut().filter_map(|log| log.next_at(frame.stamp).transpose());
             let others = others.map(|other| other.and_then(|o| self.thinned(o))).map(|o| o.map(|o| o.frame));
-            let others = others.collect::<Result<Vec<Frame>>>()?;
+            let mut others = others.collect::<Result<Vec<Frame>>>()?;
             let beside: Vec<&Frame> = grey.iter().chain(&others).collect();
             let place = |e: Error| e.at(format!("the frame at {} s", frame.stamp)).in_file(&self.log);
             let mut step = localizer.step_together(&scene.world, &frame, &beside).map_err(place)?;
@@ -326,7 +352,9 @@ impl Drive {
             });
             progress.inc(1);
             let recorded = recorded.as_deref();
-            visit(&scene, &Sensed { frame: &frame, grey: grey.as_ref(), beside: &others, recorded }, &step)?;
+            others.iter_mut().for_each(|other| *other = step.moving(other).into_owned());
+            let sensed = Sensed { frame: &step.moving(&frame), grey: grey.as_ref(), beside: &others, recorded };
+            visit(&scene, &sensed, &step)?;
             followed.features.push(FeatureCounts::of(&step.estimate.findings));
             step.estimate.findings.clear();
             followed.counts.push(verdict_counts(&step));

@@ -15,16 +15,17 @@ use super::{CommandOutcome, print};
 use glam::DVec3;
 use known::KnownArgs;
 use looks::{Questions, look_from};
-use page::Page;
+use page::{FrameKey, Page};
 use presight::files::{self, Observation, StampedPose};
 use presight::localize::Phase;
 #[cfg(feature = "report")]
 use presight::localize::Step;
-use presight::measured::Frame;
+use presight::measured::{Frame, ScanMotion};
 use presight::store::ProposedChange;
 use presight::tools::{create_folder, write_atomically};
 use presight::update::{Action, Finding, FindingKind, LearnOptions, Learner, Policy, SiteFindings};
 use presight::{Error, InWorld, PoseCovariance, PoseEstimate, Result, RobotPose, Scene, World};
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -51,7 +52,7 @@ const EXAMPLES: &str = "Examples:
     presight env apply site.presight found/changes.jsonl
 
   With poses from elsewhere, known to 5 mm and 0.1 degrees:
-    presight update run.jsonl --map site.presight --init reference --poses run.tum \
+    presight update run.jsonl --map site.presight --poses run.tum \
     --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found
 
   New things whose shapes are known, as meshes:
@@ -175,7 +176,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut compared = bag::open(args)?;
     #[cfg(not(feature = "ros"))]
     let mut compared = None;
-    let stamp = learn(&drives, &scene, &mut learner, known.as_ref(), compared.as_mut())?;
+    let seen = learn(&drives, &scene, &mut learner, known.as_ref(), compared.as_mut())?;
+    let stamp = seen.last;
     create_folder(&args.out)?;
     let mut findings = learner.findings(&scene.world);
     recognizers.improve(&mut learner, &scene.world, &mut findings);
@@ -191,7 +193,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let summary = summary(&learner, &findings, shares);
     let questions = Questions::of(&mut learner, &scene.world, &findings, &policy);
     write_atomically(&args.out.join("doubts.jsonl"), |file| file.write_all(questions.lines(&findings).as_bytes()))?;
-    let page = Page { args, drives: &drives, scene: &scene, findings: &findings, summary: &summary };
+    let motions = &seen.motions;
+    let page = Page { args, drives: &drives, motions, scene: &scene, findings: &findings, summary: &summary };
     page.write(&args.out)?;
     let count = changes.len();
     let (applied, waiting) =
@@ -234,28 +237,48 @@ fn drives(args: &Args) -> Result<Vec<Drive>> {
     Ok(logs.map(|log| args.drive.with_log(log)).collect())
 }
 
-/// Learns from all drives. Returns the last stamp, seconds.
+/// What a run saw of its frames.
+#[derive(Default)]
+struct Seen {
+    /// The last stamp, seconds.
+    last: f64,
+    /// Number of the drive.
+    drive: usize,
+    /// The motion during each scan that takes time, with which the page shows it.
+    motions: BTreeMap<FrameKey, ScanMotion>,
+}
+
+impl Seen {
+    fn add(&mut self, frame: &Frame) {
+        if let Some(motion) = frame.scan_motion().filter(|_| !frame.has_one_pose()) {
+            self.motions.insert(FrameKey::of(self.drive, frame), motion.clone());
+        }
+    }
+}
+
+/// Learns from all drives.
 fn learn(
     drives: &[Drive],
     scene: &Scene,
     learner: &mut Learner,
     known: Option<&Known>,
     mut compared: Option<&mut ComparedBag>,
-) -> Result<f64> {
-    let mut stamp = 0.0f64;
+) -> Result<Seen> {
+    let mut seen = Seen::default();
     for drive in drives {
         match known {
             Some((poses, covariance)) => {
                 for drive in drive.each_log() {
-                    follow_known(&drive, scene, learner, (poses, covariance), &mut stamp, compared.as_deref_mut())?;
+                    follow_known(&drive, scene, learner, (poses, covariance), &mut seen, compared.as_deref_mut())?;
                     learner.end_log();
                 }
             }
-            None => follow(drive, learner, &mut stamp, compared.as_deref_mut())?,
+            None => follow(drive, learner, &mut seen, compared.as_deref_mut())?,
         }
         learner.end_drive();
+        seen.drive += 1;
     }
-    Ok(stamp)
+    Ok(seen)
 }
 
 /// Writes changes as lines of `presight env apply`.
@@ -299,13 +322,14 @@ fn known_poses(args: &Args) -> Result<Option<Known>> {
 }
 
 /// Learns from a drive that the localizer follows.
-fn follow(drive: &Drive, learner: &mut Learner, last: &mut f64, mut compared: Option<&mut ComparedBag>) -> Result<()> {
+fn follow(drive: &Drive, learner: &mut Learner, seen: &mut Seen, mut compared: Option<&mut ComparedBag>) -> Result<()> {
     let mut is_tracked = false;
     drive.follow(OutputFiles::default(), None, |scene, sensed, step| {
-        *last = step.stamp;
+        seen.last = step.stamp;
         compared.iter_mut().try_for_each(|bag| bag.step(scene, sensed, step))?;
         is_tracked |= step.phase == Phase::Tracking;
         let frames: Vec<&Frame> = std::iter::once(sensed.frame).chain(sensed.grey).chain(sensed.beside).collect();
+        frames.iter().for_each(|frame| seen.add(frame));
         learner.observe(&scene.world, step, &frames)
     })?;
     let log = drive.log.display();
@@ -315,21 +339,31 @@ fn follow(drive: &Drive, learner: &mut Learner, last: &mut f64, mut compared: Op
     Ok(())
 }
 
-/// Learns from a drive with known poses. Frames without a pose at their stamp are left out.
+/// Maximum difference between the stamps of a frame and of its pose, seconds: writers round to milliseconds.
+const SAME_TIME_S: f64 = 1e-3;
+
+/// Learns from a drive with known poses. Frames without a pose at their stamp are left out; without any pose that is an
+/// error.
 fn follow_known(
     drive: &Drive,
     scene: &Scene,
     learner: &mut Learner,
     (poses, covariance): (&[StampedPose], &PoseCovariance<InWorld>),
-    last: &mut f64,
+    seen: &mut Seen,
     mut compared: Option<&mut ComparedBag>,
 ) -> Result<()> {
-    let mut without = 0;
-    drive.read(scene, |scene, Observation { frame, recorded, .. }| {
-        *last = frame.stamp;
+    let (mut without, mut with) = (0, 0);
+    let mut nearest = (f64::INFINITY, 0.0, 0.0);
+    drive.read(scene, Some(poses), |scene, Observation { frame, recorded, .. }| {
+        seen.last = frame.stamp;
+        seen.add(frame);
         let at = poses.iter().min_by(|a, b| (a.time - frame.stamp).abs().total_cmp(&(b.time - frame.stamp).abs()));
-        match at.filter(|stamped| (stamped.time - frame.stamp).abs() < 1e-3) {
+        if let Some(at) = at.filter(|at| (at.time - frame.stamp).abs() < nearest.0) {
+            nearest = ((at.time - frame.stamp).abs(), frame.stamp, at.time);
+        }
+        match at.filter(|stamped| (stamped.time - frame.stamp).abs() < SAME_TIME_S) {
             Some(at) => {
+                with += 1;
                 let robot = PoseEstimate::new(RobotPose::new(at.pose), *covariance);
                 let sensed = Sensed { frame, grey: None, beside: &[], recorded: recorded.as_deref() };
                 let sigma = drive.options(frame.sensor()).model_sigma;
@@ -342,6 +376,16 @@ fn follow_known(
             }
         }
     })?;
+    if with == 0 && without > 0 {
+        let (apart, frame, pose) = nearest;
+        let what = match apart.is_finite() {
+            true => {
+                format!("no frame has a pose of --poses: the nearest are {apart:.3} s apart ({frame} and {pose} s)")
+            }
+            false => "no frame has a pose of --poses, which is empty".to_owned(),
+        };
+        return Err(Error::invalid(what, "give poses with the stamps of the frames, in seconds").in_file(&drive.log));
+    }
     let log = drive.log.display();
     print::notices(&(without > 0).then(|| format!("{log}: {without} frames have no pose and are left out")));
     Ok(())

@@ -9,6 +9,7 @@ mod motion;
 mod noise;
 mod range_grid;
 
+pub use deskew::FrameAtMoment;
 pub use grey::GreyImage;
 pub use motion::{MAX_POSE_GAP_S, ScanMotion};
 pub use noise::RangeNoise;
