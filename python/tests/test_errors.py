@@ -133,6 +133,10 @@ def test_sensors():
         (lambda: presight.Sensor.from_rays(np.full((2, 3), NAN)), "no ray"),
         (lambda: presight.Sensor.from_rays([[0, 0, 0]]), "direction 0"),
         (lambda: presight.Sensor.from_rays([1, 0, 0]), "(n, 3)"),
+        (lambda: presight.Sensor.from_rays([[1, 0, 0]], origins=[[0, 0, 3]]), "metres"),
+        (lambda: presight.Sensor.from_rays([[1, 0, 0]], origins=[0, 0, 1]), "as directions"),
+        (lambda: presight.Sensor.from_rays([[1, 0, 0]], times=[0, 1]), "one for each ray"),
+        (lambda: presight.Sensor.load("vlp-16-real", destagger=True), "no stagger"),
         (lambda: presight.Sensor.parse("kind = 7"), ""),
     ]:
         with pytest.raises(presight.Error) as raised:

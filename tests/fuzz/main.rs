@@ -134,6 +134,9 @@ targets! {
     script: &["for ", "while true {", "box(", "place(", "import(", "loop {", "range(", "fn f(", "turn(", "scale(", "PI()"];
     sensor_toml: &["format", "kind", "width", "angles_deg", "[noise]", "[mount]", "quaternion", "[distortion]", "file"];
     camera_info: &["%YAML:1.0\n", "!!opencv-matrix", "cam0:", "P:", "R:", "intrinsics", "resolution", "image_width", "K:", "D:", "data", "---", "&a", "*a", "binning_x", "roi", "<<", "!!", "|", ">", "- "];
+    ouster: &["\"beam_altitude_angles\"", "\"beam_intrinsics\"", "\"pixel_shift_by_row\"", "\"column_window\"", "\"512x10\"", "\"lidar_to_sensor_transform\"", "1e308", "null", "[]", "-1"];
+    velodyne: &["lasers:\n", "laser_id: 0", "rot_correction", "vert_offset_correction", "num_lasers: 16", ".nan", ".inf", "*a", "&a", "- {"];
+    pattern: &["azimuth_deg", "elevation_deg", "time_s", "x,y,z", "\n", ",", "nan", "1e308", "-90", "#"];
     layer: &["features", "\"kind\"", "covariances", "cross_covariance", "\"remove\"", "\"object\"", "\"points\"", "tolerance"];
     #[cfg(feature = "store")]
     store: &["CREATE TABLE", "SQLite format 3\0", "objects"];

@@ -315,9 +315,10 @@ impl Args {
         let Some(robot) = &self.robot else {
             return Ok(vec![self.image.load(self.sensor.as_deref().unwrap_or_default())?]);
         };
-        if self.image.rectified {
-            let remedy = "write rectified = true at its sensors in the robot file";
-            return Err(Error::usage("--rectified: --robot names several sensors", remedy));
+        let flags = [(self.image.rectified, "rectified"), (self.image.destagger, "destagger")];
+        if let Some((_, name)) = flags.into_iter().find(|(given, _)| *given) {
+            let remedy = format!("write {name} = true at its sensors in the robot file");
+            return Err(Error::usage(format!("--{name}: --robot names several sensors"), remedy));
         }
         let (robot, notices) = load_robot(robot)?;
         print::notices(&notices);

@@ -1,5 +1,6 @@
 //! Sensors: image geometry, range limits, class and mount.
 
+mod beams;
 mod camera;
 mod cone_tree;
 mod direction_map;
@@ -19,6 +20,7 @@ mod scanner;
 mod times;
 mod undistort;
 
+pub use beams::BeamTable;
 pub use camera::Camera;
 pub use cone_tree::ConeTree;
 pub use direction_map::DirectionMap;
@@ -55,7 +57,7 @@ pub enum Geometry {
     Camera(Camera),
     /// Spherical (equiangular) image: azimuth by elevation.
     Scanner(Scanner),
-    /// Any set of rays from one centre.
+    /// Any set of rays, from one centre or each from its own point.
     Rays(RayTable),
 }
 
@@ -292,13 +294,25 @@ impl Sensor {
         matches!(&self.0.spec.geometry, Geometry::Rays(table) if table.origins().is_some())
     }
 
-    /// Where the ray of a pixel starts: metres from the sensor's own origin, body axes.
+    /// The point from which the range of a pixel is measured: metres from the sensor's own origin, body axes.
     #[inline]
     pub fn origin(&self, column: u32, row: u32) -> DVec3 {
+        self.of_table(RayTable::origins, column, row)
+    }
+
+    /// The point at which the ray of a pixel leaves the sensor, [`RayTable::range_lead`] ahead of [`Sensor::origin`]:
+    /// metres from the sensor's own origin, body axes, with the same bits for all rays that share the point.
+    #[inline]
+    pub fn start(&self, column: u32, row: u32) -> DVec3 {
+        self.of_table(RayTable::starts, column, row)
+    }
+
+    #[inline]
+    fn of_table(&self, points: impl Fn(&RayTable) -> Option<&[DVec3]>, column: u32, row: u32) -> DVec3 {
         match &self.0.spec.geometry {
-            Geometry::Rays(table) => table.origins().map_or(DVec3::ZERO, |origins| {
+            Geometry::Rays(table) => points(table).map_or(DVec3::ZERO, |points| {
                 let (column, row) = (self.whole_column(column), row * self.part_stride());
-                origins[row as usize * table.width() as usize + column as usize]
+                points[row as usize * table.width() as usize + column as usize]
             }),
             _ => DVec3::ZERO,
         }
