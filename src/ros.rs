@@ -72,7 +72,8 @@ pub fn answers(step: &Step, origin: &MessageOrigin) -> Vec<Record> {
     records
 }
 
-/// The prediction of a frame of ranges at a pose, on `/presight/predicted`, and the verdict on each of its points, on
+/// The prediction of a frame of ranges at a pose, that of the moment to which verdicts bring a scan, on
+/// `/presight/predicted`, and the verdict on each of its points, on
 /// `/presight/verdict`.
 ///
 /// # Errors

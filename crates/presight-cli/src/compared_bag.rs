@@ -55,7 +55,9 @@ impl ComparedBag {
         }
         let (predictor, world) = (&mut self.predictor, &scene.world);
         let verdicts = presight::verdict::of_coarse_model(predictor, world, sensed.frame, robot, model_sigma)?;
-        self.compare(scene, sensed, (robot, &verdicts), &origin)
+        // The verdicts are of one moment of the scan.
+        let then = sensed.frame.at_one_moment()?.robot(robot);
+        self.compare(scene, sensed, (&then, &verdicts), &origin)
     }
 
     /// Adds the measurement, and before the first one the model and the mount.

@@ -53,7 +53,7 @@ impl MessageOrigin {
             let (column, row) = (pixel as u32 % sensor.width(), pixel as u32 / sensor.width());
             let range = [ranges[pixel], predicted.range[pixel]].into_iter().find(|r| r.is_finite() && *r > 0.0);
             let Some((range, ray)) = range.zip(sensor.ray(column, row)) else { continue };
-            let point = (frame_from_image * ray * f64::from(range)).as_vec3();
+            let point = (sensor.origin(column, row) + frame_from_image * ray * f64::from(range)).as_vec3();
             let [r, g, b] = colors[usize::from(verdicts[pixel])].map(u32::from);
             data.extend(point.to_array().iter().flat_map(|v| v.to_le_bytes()));
             data.extend(residuals[pixel].to_le_bytes());
