@@ -15,7 +15,7 @@ const DRIVE: &str = "1700000000.123456789 1.2 1.4 0.9 0 0 0 1\n1700000000.223456
     1700000000.323456789 1.3 1.42 0.9 0 0 0.1 0.99498743710\n";
 
 fn frames(path: &Path, topic: &str) -> Vec<Observation> {
-    let options = BagOptions::default().with_topic(topic.to_owned());
+    let options = BagOptions::default().with_topic(Some(topic.to_owned()));
     let log = LogFrames::open_with(path, None, &Default::default(), &options).unwrap();
     log.map(Result::unwrap).collect()
 }
