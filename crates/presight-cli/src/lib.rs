@@ -28,6 +28,7 @@ mod index;
 mod inspect;
 mod layers;
 mod localize;
+mod motion_args;
 #[cfg(feature = "store")]
 mod occupancy;
 #[cfg(feature = "ros")]

@@ -5,7 +5,7 @@ use crate::point_fields::{Field, append_position, fields};
 use glam::DMat3;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::SensorPose;
-use presight_model::sensor::{Angles, Distortion, Geometry, Sensor};
+use presight_model::sensor::{Angles, Distortion, Geometry, RayTimes, Sensor, StampAt};
 use presight_render::plan::{Images, Output, Outputs};
 use presight_render::points::{PointCloud, PointsFrame};
 use presight_ros::Record;
@@ -69,14 +69,18 @@ impl MessageOrigin {
             return None;
         }
         let radians = |degrees: f64| degrees.to_radians() as f32;
+        let turn_s = match sensor.spec().times {
+            RayTimes::Columns { turn_s, stamp: StampAt::First } => turn_s,
+            _ => 0.0,
+        };
+        let part = (step_deg * f64::from(count)).abs() / 360.0;
         Some(LaserScan {
             header: self.header(&self.sensor),
             angle_min: radians(start_deg),
             angle_max: radians(start_deg + step_deg * f64::from(count.saturating_sub(1))),
             angle_increment: radians(step_deg),
-            // Predicted rays have one time.
-            time_increment: 0.0,
-            scan_time: 0.0,
+            time_increment: (turn_s / f64::from(count)) as f32,
+            scan_time: if part > 0.0 { (turn_s.abs() / part) as f32 } else { 0.0 },
             range_min: sensor.spec().range_min as f32,
             range_max: sensor.spec().range_max as f32,
             ranges: ranges.to_vec(),

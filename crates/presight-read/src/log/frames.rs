@@ -13,6 +13,7 @@ use crate::tum::StampedPose;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, RobotPose, SensorPose};
 use presight_model::measured::{Frame, Motion, OdometryNoise};
+use presight_model::plausible::FramePeriod;
 use presight_model::sensor::Sensor;
 use std::path::Path;
 
@@ -60,6 +61,7 @@ pub struct Frames {
     motions: ScanMotions,
     ended: bool,
     readings: Readings,
+    period: FramePeriod,
     /// Notices on parts that were left out, and on the motion of scans.
     notices: Notices,
     has_planar_poses: bool,
@@ -208,6 +210,7 @@ impl Frames {
             motions: ScanMotions::new(notices.clone()),
             ended: false,
             readings,
+            period: FramePeriod::default(),
             notices,
             has_planar_poses: false,
         }
@@ -246,10 +249,10 @@ impl Frames {
         self.has_planar_poses
     }
 
-    /// Notices on parts that were left out so far, and one that counts the readings by their meaning, unless every
-    /// reading is a distance.
+    /// Notices on parts that were left out so far, one that counts the readings by their meaning, unless every reading is a
+    /// distance, and one if the times cannot be seconds.
     pub fn notices(&self) -> Vec<String> {
-        self.notices.all().into_iter().chain(self.readings.notice()).collect()
+        self.notices.all().into_iter().chain(self.readings.notice()).chain(self.period.notice()).collect()
     }
 
     /// The sensor of the first frame. Each scan of points has its own sensor.
@@ -278,6 +281,7 @@ impl Iterator for Frames {
         let ahead = self.ahead.as_ref().and_then(|ahead| ahead.as_ref()?.as_ref().ok());
         let now = self.motions.moved(now, ahead);
         self.readings.add(&now.frame);
+        self.period.add(now.frame.stamp);
         Some(Ok(now))
     }
 }

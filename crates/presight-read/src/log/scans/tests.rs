@@ -43,7 +43,7 @@ fn poses_stand_beside_the_scans() {
     assert!(Scans::open(folder.path(), None).unwrap_err().to_string().contains("no scan"));
     put("b.csv", "1,2,0\n2,2,0\n");
     put("a.csv", "1,2,0\n2,2,0\n");
-    put("poses.json", r#"{"note": "by hand", "b": {"translation": [1, 2, 3], "quaternion_xyzw": [0, 0, 0, 2]}}"#);
+    put("poses.json", r#"{"note": "by hand", "b": {"translation": [1, 2, 3], "quaternion_xyzw": [0, 0, 0, 1]}}"#);
     let mut spec = crate::preset("laser-scanner").unwrap().spec().clone();
     (spec.mount, spec.noise.range_sigma) = (Pose::from_xyz_rpy(DVec3::Z, 0.0, 0.0, 0.0), 0.07);
     let sensor = Sensor::new(spec).unwrap();
