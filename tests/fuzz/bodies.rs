@@ -11,8 +11,10 @@ mod generate;
 use check::{check_world, near_unit, sound_sensor};
 use presight_cli::pose::parse_pose;
 use presight_files::{corridor, exr};
-use presight_model::geometry::Pose;
-use presight_read::{camera_info, layer, log, materials, pose_covariance, sensor_toml, tum};
+use presight_model::geometry::{Pose, Twist};
+use presight_model::measured::ScanMotion;
+use presight_model::sensor::SensorSpec;
+use presight_read::{beams, camera_info, layer, log, materials, pose_covariance, sensor_toml, tum};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
@@ -136,6 +138,37 @@ pub fn camera_info(bytes: &[u8]) -> bool {
     let read = |rectified| camera_info::parse(&text(bytes), "fuzz", None, rectified);
     [false, true].map(read).into_iter().filter(|read| read.as_ref().is_ok_and(|(spec, _)| sound_sensor(spec))).count()
         > 0
+}
+
+/// Beam tables: small ones are predicted, and larger ones only read back from what they are written as.
+fn sound_beams(spec: &SensorSpec) -> bool {
+    let (width, height) = spec.geometry.size();
+    if u64::from(width) * u64::from(height) < 2048 {
+        return sound_sensor(spec);
+    }
+    let sound = presight::Sensor::new(spec.clone()).is_ok();
+    assert!(
+        !sound || sensor_toml::parse(&sensor_toml::to_string(spec), "other", None).is_ok_and(|again| again == *spec)
+    );
+    sound
+}
+
+/// Metadata of Ouster sensors.
+pub fn ouster(bytes: &[u8]) -> bool {
+    beams::ouster::parse(&text(bytes), "fuzz").is_ok_and(|(spec, _)| sound_beams(&spec))
+}
+
+/// Calibrations of Velodyne sensors.
+pub fn velodyne(bytes: &[u8]) -> bool {
+    beams::velodyne::parse(&text(bytes), "fuzz").is_ok_and(|(spec, _)| sound_beams(&spec))
+}
+
+/// Patterns of rays, whole and in part.
+pub fn pattern(bytes: &[u8]) -> bool {
+    let Ok(pattern) = beams::pattern::parse(&mut &*bytes) else { return false };
+    let part = pattern.sensor("fuzz", 1e9, Some(0.3 * pattern.period()));
+    assert!(part.is_err() || part.is_ok_and(|spec| spec.geometry.size().1 == 1));
+    pattern.sensor("fuzz", 0.0, None).is_ok_and(|spec| sound_beams(&spec))
 }
 
 /// Layer files: placed in a scene, predicted with regions of interest, and written again.
@@ -299,6 +332,23 @@ pub fn log(bytes: &[u8]) -> bool {
         // NaN does not equal itself, but its text does.
         assert_eq!(format!("{read:?}"), format!("{frames:?}"));
         sound && !read.is_empty()
+    })
+}
+
+/// Scans of points: an accepted one has times within a minute of its stamp, and the motion of a robot can be undone.
+pub fn cloud(bytes: &[u8]) -> bool {
+    let name = if bytes.starts_with(b"ply") { "7.5.ply" } else { "7.5.pcd" };
+    with_file(name, bytes, |path| {
+        let Ok(mut frames) = log::Frames::open(path, None, &Default::default()) else { return false };
+        let frame = frames.next().expect("an opened scan").expect("a scan that was read").frame;
+        let [first, last] = frame.sensor().scan_interval();
+        assert!(first >= -61.0 && last <= 61.0 && first <= last, "{first} to {last} s");
+        assert!(frames.notices().iter().all(|notice| !notice.contains('\n')));
+        let twist = Twist::new(glam::DVec3::X, glam::DVec3::Z);
+        let frame = frame.with_scan_motion(ScanMotion::Twist(twist));
+        let still = frame.deskewed(0.5 * (first + last)).expect("a motion without end");
+        assert_eq!(still.ranges().len(), frame.ranges().len());
+        true
     })
 }
 

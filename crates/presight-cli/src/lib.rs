@@ -26,6 +26,7 @@ mod index;
 mod inspect;
 mod layers;
 mod localize;
+mod motion_args;
 #[cfg(feature = "store")]
 mod occupancy;
 mod outputs;

@@ -42,9 +42,10 @@ pub struct Drive {
     pub map: PathBuf,
 
     /// Start pose of the robot: x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, `reference` for the log's first
-    /// pose, or `unknown` to search the whole map at the height of --floor with the roll and pitch of --lean
+    /// pose, or `unknown` to search the whole map at the height of --floor with the roll and pitch of --lean. Needed
+    /// wherever the robot is localized
     #[arg(long, value_name = "POSE", allow_hyphen_values = true)]
-    init: String,
+    init: Option<String>,
 
     /// Standard deviation of the start position along each axis, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.05)]
@@ -194,6 +195,12 @@ impl Drive {
         visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
     ) -> Result<Followed> {
         self.check()?;
+        if self.init.is_none() {
+            return Err(Error::usage(
+                "--init is missing",
+                "give a pose, `reference` (the log's first pose) or `unknown`",
+            ));
+        }
         let beside =
             ["camera.json", "grey.toml", "odometry.txt", "poses.json", "poses.txt"].map(|name| self.log.join(name));
         let sensors = [&self.sensor, &self.grey_sensor].into_iter().flatten().map(Path::new);

@@ -11,6 +11,7 @@ use crate::engine_args::{EngineArgs, WayArg};
 use crate::file_names::FileNames;
 use crate::frame_args::FrameArgs;
 use crate::layers::{LayerArgs, NamedRequest};
+use crate::motion_args::{MotionArgs, ScanMotions, meaning_of};
 use crate::outputs::OutputFiles;
 use crate::pose::{PoseArgs, PoseOf};
 use crate::pose_series::Poses;
@@ -19,7 +20,7 @@ use crate::virtual_sensor::VirtualArgs;
 use crate::{CommandOutcome, open_scene_without, print};
 use clap::ValueEnum;
 use presight::files::{ImportOptions, load_robot};
-use presight::sensor::Geometry;
+use presight::sensor::{ExternalPose, Geometry};
 use presight::tools::{self, FrameMemory};
 use presight::{Error, IdScheme, Options, Output, Outputs, Predictor, Request, Result, Scene, Sensor, Threads};
 use presight_pictures as png;
@@ -49,6 +50,10 @@ const EXAMPLES: &str = "Examples:
     presight predict hall.glb --sensor realsense-d435 --poses drive.tum \\
       --outputs depth_z --npy depth.npy --png 'drive/{i:06}.png'
 
+  A lidar on a robot that drives at 1.5 m/s and turns by 60 degrees/s, and its points put to the end of the scan:
+    presight predict hall.glb --sensor turning.toml --pose 0,0,1,0,0,0 --twist 1.5,0,0,0,0,60 \\
+      --points scan.ply --deskew 0.1
+
   Timing, and the stages that were skipped:
     presight predict hall.glb --sensor vlp-16 --pose 0,0,1,0,0,0 --repeat 50 --stats stats.json --explain";
 
@@ -77,6 +82,9 @@ pub struct Args {
 
     #[command(flatten)]
     pose: PoseArgs,
+
+    #[command(flatten)]
+    motion: MotionArgs,
 
     /// Predict at every pose of a file, one `timestamp tx ty tz qx qy qz qw` per line; - reads stdin
     #[arg(long, value_name = "FILE.tum|-", conflicts_with = "pose")]
@@ -149,6 +157,10 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t = PointsFrameArg::Sensor, requires = "points")]
     points_frame: PointsFrameArg,
 
+    /// Put the points of a moving scan into the frame of the sensor at this time, seconds after the stamp
+    #[arg(long, value_name = "SECONDS", requires = "points", allow_hyphen_values = true)]
+    deskew: Option<f64>,
+
     #[command(flatten)]
     frame: FrameArgs,
 
@@ -217,6 +229,7 @@ impl Args {
         self.virtual_sensor.check()?;
         self.deadline.check()?;
         self.check_series()?;
+        self.check_motion()?;
         let import = self.import_options()?;
         let mut files = OutputFiles::default();
         let names = self.names()?;
@@ -268,6 +281,28 @@ impl Args {
         }
     }
 
+    /// Refuses what a moving sensor does not deliver yet.
+    fn check_motion(&self) -> Result<()> {
+        if self.deskew.is_some() && self.points_frame == PointsFrameArg::World {
+            return Err(Error::usage("--deskew: points in the world need no moment", "drop one of the two"));
+        }
+        if self.deskew.is_some_and(|seconds| !seconds.is_finite()) {
+            return Err(Error::usage("--deskew: the time is not finite", "give seconds after the stamp"));
+        }
+        let tells = self.layers.writes_something() || self.virtual_sensor.task.is_some();
+        if !self.motion.is_given() || !tells {
+            return Ok(());
+        }
+        let remedy = "predict images alone, or drop the motion";
+        Err(Error::usage("features and virtual sensors of a moving sensor: each ray has a pose of its own", remedy))
+    }
+
+    /// The motion during the scans of a sensor; `given` is the only pose, if there is one.
+    fn motions(&self, scene: &Scene, sensor: &Sensor, given: Option<&ExternalPose>) -> Result<ScanMotions> {
+        let of = if self.robot.is_some() { PoseOf::Robot } else { PoseOf::Sensor };
+        self.motion.motions(scene, sensor, given, meaning_of(&self.pose, of))
+    }
+
     fn names(&self) -> Result<FileNames> {
         let mask = self.virtual_sensor.mask.as_ref();
         let features = self.layers.features.as_ref();
@@ -280,7 +315,7 @@ impl Args {
     pub fn inputs(&self) -> impl Iterator<Item = &Path> {
         let sensor = self.sensor.as_deref().map(Path::new).or(self.robot.as_deref());
         let poses = self.pose_file();
-        let features = self.layers.inputs().chain(self.virtual_sensor.corridor.as_deref());
+        let features = self.layers.inputs().chain(self.virtual_sensor.corridor.as_deref()).chain(self.motion.inputs());
         [self.scene.as_path()].into_iter().chain(sensor).chain(poses).chain(features)
     }
 
@@ -288,9 +323,10 @@ impl Args {
         let Some(robot) = &self.robot else {
             return Ok(vec![self.image.load(self.sensor.as_deref().unwrap_or_default())?]);
         };
-        if self.image.rectified {
-            let remedy = "write rectified = true at its sensors in the robot file";
-            return Err(Error::usage("--rectified: --robot names several sensors", remedy));
+        let flags = [(self.image.rectified, "rectified"), (self.image.destagger, "destagger")];
+        if let Some((_, name)) = flags.into_iter().find(|(given, _)| *given) {
+            let remedy = format!("write {name} = true at its sensors in the robot file");
+            return Err(Error::usage(format!("--{name}: --robot names several sensors"), remedy));
         }
         let (robot, notices) = load_robot(robot)?;
         print::notices(&notices);

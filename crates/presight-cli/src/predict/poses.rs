@@ -4,6 +4,7 @@ use super::files::{Shown, attributes, write_files};
 use super::{Args, Job};
 use crate::file_names::{FileNames, Paths};
 use crate::layers::Layers;
+use crate::motion_args::ScanMotions;
 use crate::overlap::{make_and_write, make_then_write};
 use crate::pose_series::{NamedPose, Poses, no_poses};
 use crate::series::SeriesProgress;
@@ -56,7 +57,10 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let make = |item: Result<(usize, NamedPose)>, spare: Option<Frames>| {
         let (index, (stamp, pose)) = item?;
         let mut spare = spare.into_iter().flat_map(|spare| spare.frames);
-        let mut make = |setup| series.predict(&mut predictor, setup, &pose, spare.next().map(|frame| frame.prediction));
+        let mut make = |setup| {
+            let spare = spare.next().map(|frame| frame.prediction);
+            series.predict(&mut predictor, setup, (&stamp, &pose), spare)
+        };
         let frames = setups.iter_mut().map(&mut make).collect::<Result<Vec<Frame>>>()?;
         print::notices(frames.iter().flat_map(|frame| &frame.prediction.stats.notices));
         all += frames.len();
@@ -103,6 +107,7 @@ struct Setup {
     request: Request,
     layers: Option<Layers>,
     attributes: Option<files::ExrAttributes>,
+    motions: ScanMotions,
 }
 
 impl Setup {
@@ -112,7 +117,8 @@ impl Setup {
             sensor.check_projection().map_err(|e| e.at(&sensor.spec().name))?;
         }
         let attributes = args.writes_exr().then(|| attributes(args, scene, &sensor)).transpose()?;
-        Ok(Self { sensor, request, layers, attributes })
+        let motions = args.motions(scene, &sensor, None)?;
+        Ok(Self { sensor, request, layers, attributes, motions })
     }
 }
 
@@ -194,6 +200,7 @@ impl Series<'_> {
             hasher.update(files::sensor_to_toml(setup.sensor.spec()).as_bytes());
         }
         let files = self.args.layers().inputs().chain(self.args.virtual_sensor().corridor.as_deref());
+        let files = files.chain(self.args.motion.inputs());
         for file in files {
             hasher.update(blake3_of(file)?.as_bytes());
         }
@@ -205,16 +212,17 @@ impl Series<'_> {
         &self,
         predictor: &mut Predictor,
         setup: &mut Setup,
-        given: &ExternalPose,
+        (stamp, given): (&str, &ExternalPose),
         spare: Option<Prediction>,
     ) -> Result<Frame> {
         let Self { args, scene, .. } = *self;
-        let Setup { sensor, request, layers, attributes } = setup;
+        let Setup { sensor, request, layers, attributes, motions } = setup;
         let pose = given.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
         if let Some(layers) = layers {
             layers.move_to(given, sensor, &pose, scene);
         }
-        let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request.clone()));
+        let mut request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request.clone()));
+        request.motion = motions.at(sensor, if stamp.is_empty() { args.motion.stamp()? } else { seconds(stamp)? })?;
         let settings = args.virtual_sensor().settings(scene, sensor, &pose, predictor)?;
         let start = Instant::now();
         let predicted = match spare {
@@ -265,6 +273,12 @@ impl Series<'_> {
         let summary = Summary::of(prediction, objects_in(self.scene.world.environment()));
         print::lines([format!("{index}: {}, {ms:.2} ms on {engine}", summary.in_words(prediction))])
     }
+}
+
+/// The stamp of a scan as written in the file of poses.
+fn seconds(stamp: &str) -> Result<f64> {
+    let what = || Error::invalid(format!("a stamp of {stamp:?}"), "give seconds");
+    stamp.parse().map_err(|_| what())
 }
 
 /// The path of the record of finished poses, in the folder of the first file.

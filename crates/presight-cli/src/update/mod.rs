@@ -33,7 +33,7 @@ const EXAMPLES: &str = "Examples:
     presight env apply site.presight found/changes.jsonl
 
   With poses from elsewhere, known to 5 mm and 0.1 degrees:
-    presight update run.jsonl --map site.presight --init reference --poses run.tum \
+    presight update run.jsonl --map site.presight --poses run.tum \
     --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found
 
   New things whose shapes are known, as meshes:
@@ -297,7 +297,11 @@ fn follow(drive: &Drive, learner: &mut Learner, seen: &mut Seen) -> Result<()> {
     Ok(())
 }
 
-/// Learns from a drive with known poses. Frames without a pose at their stamp are left out.
+/// Maximum difference between the stamps of a frame and of its pose, seconds: writers round to milliseconds.
+const SAME_TIME_S: f64 = 1e-3;
+
+/// Learns from a drive with known poses. Frames without a pose at their stamp are left out; without any pose that is an
+/// error.
 fn follow_known(
     drive: &Drive,
     scene: &Scene,
@@ -305,13 +309,18 @@ fn follow_known(
     (poses, covariance): (&[StampedPose], &PoseCovariance<InWorld>),
     seen: &mut Seen,
 ) -> Result<()> {
-    let mut without = 0;
+    let (mut without, mut with) = (0, 0);
+    let mut nearest = (f64::INFINITY, 0.0, 0.0);
     drive.read(scene, Some(poses), |scene, frame: &Frame, _| {
         seen.last = frame.stamp;
         seen.add(frame);
         let at = poses.iter().min_by(|a, b| (a.time - frame.stamp).abs().total_cmp(&(b.time - frame.stamp).abs()));
-        match at.filter(|stamped| (stamped.time - frame.stamp).abs() < 1e-3) {
+        if let Some(at) = at.filter(|at| (at.time - frame.stamp).abs() < nearest.0) {
+            nearest = ((at.time - frame.stamp).abs(), frame.stamp, at.time);
+        }
+        match at.filter(|stamped| (stamped.time - frame.stamp).abs() < SAME_TIME_S) {
             Some(at) => {
+                with += 1;
                 learner.observe_at(&scene.world, &[frame], &PoseEstimate::new(RobotPose::new(at.pose), *covariance))
             }
             None => {
@@ -320,6 +329,16 @@ fn follow_known(
             }
         }
     })?;
+    if with == 0 && without > 0 {
+        let (apart, frame, pose) = nearest;
+        let what = match apart.is_finite() {
+            true => {
+                format!("no frame has a pose of --poses: the nearest are {apart:.3} s apart ({frame} and {pose} s)")
+            }
+            false => "no frame has a pose of --poses, which is empty".to_owned(),
+        };
+        return Err(Error::invalid(what, "give poses with the stamps of the frames, in seconds").in_file(&drive.log));
+    }
     let log = drive.log.display();
     print::notices(&(without > 0).then(|| format!("{log}: {without} frames have no pose and are left out")));
     Ok(())

@@ -4,7 +4,7 @@ use crate::error::{Error, Result};
 use std::sync::Arc;
 
 /// Maximum time between the first ray of a scan and the last, and between any ray and the stamp, seconds.
-const MAX_SCAN_S: f64 = 60.0;
+pub(super) const MAX_SCAN_S: f64 = 60.0;
 
 /// The ray of a scan to which the stamp of a frame belongs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

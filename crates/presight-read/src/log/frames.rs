@@ -13,6 +13,7 @@ use crate::tum::StampedPose;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, RobotPose, SensorPose};
 use presight_model::measured::{Frame, Motion, OdometryNoise};
+use presight_model::plausible::FramePeriod;
 use presight_model::sensor::Sensor;
 use std::path::Path;
 
@@ -37,6 +38,7 @@ pub struct Frames {
     motions: ScanMotions,
     ended: bool,
     readings: Readings,
+    period: FramePeriod,
     /// Notices on parts that were left out, and on the motion of scans.
     notices: Notices,
     has_planar_poses: bool,
@@ -100,7 +102,9 @@ impl Frames {
         let sensor = first.frame.sensor().clone();
         let notices = Notices::from(frames.notices());
         let frames = std::iter::once(Ok(first)).chain(frames);
-        Ok(Self::new(sensor, frames, "NaN", notices))
+        let mut frames = Self::new(sensor, frames, "NaN", notices);
+        frames.motions.own_is_odometry = true;
+        Ok(frames)
     }
 
     #[cfg(not(feature = "ros"))]
@@ -114,13 +118,8 @@ impl Frames {
         let Some(first) = scans.next().transpose()? else {
             return Err(Error::invalid("there is no scan", "give PLY, PCD, CSV or EXR files"));
         };
-        let sensor = first.frame.sensor().clone();
-        Ok(Self::new(
-            sensor,
-            std::iter::once(Ok(first)).chain(scans),
-            "NaN or a cell without a point",
-            Notices::default(),
-        ))
+        let (sensor, notices) = (first.frame.sensor().clone(), scans.notices());
+        Ok(Self::new(sensor, std::iter::once(Ok(first)).chain(scans), "NaN or a cell without a point", notices))
     }
 
     fn of_folder(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise) -> Result<Self> {
@@ -184,6 +183,7 @@ impl Frames {
             motions: ScanMotions::new(notices.clone()),
             ended: false,
             readings,
+            period: FramePeriod::default(),
             notices,
             has_planar_poses: false,
         }
@@ -222,10 +222,10 @@ impl Frames {
         self.has_planar_poses
     }
 
-    /// Notices on parts that were left out so far, and one that counts the readings by their meaning, unless every
-    /// reading is a distance.
+    /// Notices on parts that were left out so far, one that counts the readings by their meaning, unless every reading is a
+    /// distance, and one if the times cannot be seconds.
     pub fn notices(&self) -> Vec<String> {
-        self.notices.all().into_iter().chain(self.readings.notice()).collect()
+        self.notices.all().into_iter().chain(self.readings.notice()).chain(self.period.notice()).collect()
     }
 
     /// The sensor of the first frame. Each scan of points has its own sensor.
@@ -254,6 +254,7 @@ impl Iterator for Frames {
         let ahead = self.ahead.as_ref().and_then(|ahead| ahead.as_ref()?.as_ref().ok());
         let now = self.motions.moved(now, ahead);
         self.readings.add(&now.frame);
+        self.period.add(now.frame.stamp);
         Some(Ok(now))
     }
 }

@@ -35,6 +35,7 @@ use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::index::{ObjectRun, QueryResult, Region};
+use presight_model::measured::ScanPoses;
 use presight_model::sensor::{ImagePart, PixelGrid, STRIDES, Sensor};
 use presight_model::world::World;
 use std::borrow::Cow;
@@ -149,6 +150,8 @@ pub struct FramePlan {
     chosen: ChosenWay,
     /// For a level scanner of one row: the cut of the world at its height, in place of runs.
     pub(crate) cut: Option<Arc<RowCut>>,
+    /// The poses of bundles of rays, if no single pose holds for all rays; then nothing is selected.
+    bundles: Option<Arc<ScanPoses>>,
     /// Scratch memory, kept from frame to frame.
     found: QueryResult,
     selected: Vec<ObjectRun>,
@@ -300,6 +303,7 @@ impl FramePlan {
             reuse_visible: false,
             chosen: self.chosen,
             cut: None,
+            bundles: None,
             found: QueryResult::default(),
             selected: Vec::new(),
         })
@@ -348,8 +352,11 @@ impl FramePlan {
         self.request = request.into();
         self.reuse_visible = false;
         self.chosen = ChosenWay::RASTER;
-        let region = region_of(sensor, world_from_sensor)?;
-        self.fill(&region);
+        self.bundles = None;
+        match ScanPoses::new(sensor, world_from_sensor, None)? {
+            Some(poses) => self.take_bundles(poses),
+            None => self.fill(&region_of(sensor, world_from_sensor)?),
+        }
         Ok(())
     }
 
@@ -360,7 +367,12 @@ impl FramePlan {
 
     /// Any object as the sensor sees it, even if it was not selected.
     pub fn instance_of(&self, object: u32) -> Instance {
-        Instance::new(self.world.environment(), &self.sensor, &self.world_from_sensor, &self.facings, object)
+        self.instance_from(&self.world_from_sensor, object)
+    }
+
+    /// Any object as the sensor sees it from a pose.
+    pub fn instance_from(&self, world_from_sensor: &Pose, object: u32) -> Instance {
+        Instance::new(self.world.environment(), &self.sensor, world_from_sensor, &self.facings, object)
     }
 
     /// The `polygon_id` of a polygon.

@@ -3,7 +3,7 @@
 use super::super::instance::RayInstance;
 use crate::plan::FramePlan;
 use glam::{DMat3, DVec3};
-use presight_model::geometry::Aabb;
+use presight_model::geometry::{Aabb, Pose};
 use presight_model::index::{ObjectTree, RayNode, RayTree};
 use presight_model::sensor::RayTile;
 
@@ -64,7 +64,7 @@ pub(super) enum Placing<'a> {
 impl<'a> Placing<'a> {
     #[cold]
     #[inline(never)]
-    pub fn new(plan: &'a FramePlan, object: u32) -> Self {
+    pub fn new(plan: &'a FramePlan, world_from_sensor: &Pose, object: u32) -> Self {
         let environment = plan.environment();
         let mesh = &environment.objects()[object as usize].mesh;
         let Some(absent) = environment.absent_parts(object, &plan.sensor.spec().class) else { return Self::Unseen };
@@ -72,7 +72,7 @@ impl<'a> Placing<'a> {
             return Self::Unseen;
         }
         let Some(tree) = mesh.known_ray_tree() else { return Self::Lacking };
-        let instance = plan.instance_of(object);
+        let instance = plan.instance_from(world_from_sensor, object);
         let [length, inverse] = instance.norms.map(|norm| norm * (1.0 + 1e-6));
         // Both norms of a rotation are the root of three.
         let uniform = length * inverse <= 3.0 + 1e-5;
