@@ -29,7 +29,7 @@ pub use presight_read::beams::velodyne::read as read_velodyne;
 #[doc(inline)]
 pub use presight_read::camera_info::read as read_camera_info;
 #[doc(inline)]
-pub use presight_read::cloud::{Cloud, read as read_cloud};
+pub use presight_read::cloud::{Cloud, PointTimes, read as read_cloud};
 #[doc(inline)]
 pub use presight_read::depth_folder::{DepthFolder, camera_json, image_name, poses_txt};
 #[doc(inline)]

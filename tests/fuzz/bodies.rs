@@ -11,7 +11,8 @@ mod generate;
 use check::{check_world, near_unit, sound_sensor};
 use presight_cli::pose::parse_pose;
 use presight_files::{corridor, exr};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, Twist};
+use presight_model::measured::ScanMotion;
 use presight_model::sensor::SensorSpec;
 use presight_read::{beams, camera_info, layer, log, materials, pose_covariance, sensor_toml, tum};
 use std::borrow::Cow;
@@ -331,6 +332,23 @@ pub fn log(bytes: &[u8]) -> bool {
         // NaN does not equal itself, but its text does.
         assert_eq!(format!("{read:?}"), format!("{frames:?}"));
         sound && !read.is_empty()
+    })
+}
+
+/// Scans of points: an accepted one has times within a minute of its stamp, and the motion of a robot can be undone.
+pub fn cloud(bytes: &[u8]) -> bool {
+    let name = if bytes.starts_with(b"ply") { "7.5.ply" } else { "7.5.pcd" };
+    with_file(name, bytes, |path| {
+        let Ok(mut frames) = log::Frames::open(path, None, &Default::default()) else { return false };
+        let frame = frames.next().expect("an opened scan").expect("a scan that was read").frame;
+        let [first, last] = frame.sensor().scan_interval();
+        assert!(first >= -61.0 && last <= 61.0 && first <= last, "{first} to {last} s");
+        assert!(frames.notices().iter().all(|notice| !notice.contains('\n')));
+        let twist = Twist::new(glam::DVec3::X, glam::DVec3::Z);
+        let frame = frame.with_scan_motion(ScanMotion::Twist(twist));
+        let still = frame.deskewed(0.5 * (first + last)).expect("a motion without end");
+        assert_eq!(still.ranges().len(), frame.ranges().len());
+        true
     })
 }
 

@@ -102,7 +102,9 @@ impl Frames {
         let sensor = first.frame.sensor().clone();
         let notices = Notices::from(frames.notices());
         let frames = std::iter::once(Ok(first)).chain(frames);
-        Ok(Self::new(sensor, frames, "NaN", notices))
+        let mut frames = Self::new(sensor, frames, "NaN", notices);
+        frames.motions.own_is_odometry = true;
+        Ok(frames)
     }
 
     #[cfg(not(feature = "ros"))]
@@ -116,13 +118,8 @@ impl Frames {
         let Some(first) = scans.next().transpose()? else {
             return Err(Error::invalid("there is no scan", "give PLY, PCD, CSV or EXR files"));
         };
-        let sensor = first.frame.sensor().clone();
-        Ok(Self::new(
-            sensor,
-            std::iter::once(Ok(first)).chain(scans),
-            "NaN or a cell without a point",
-            Notices::default(),
-        ))
+        let (sensor, notices) = (first.frame.sensor().clone(), scans.notices());
+        Ok(Self::new(sensor, std::iter::once(Ok(first)).chain(scans), "NaN or a cell without a point", notices))
     }
 
     fn of_folder(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise) -> Result<Self> {

@@ -2,11 +2,12 @@
 
 use super::choice::Choice;
 use super::convert::{Converter, body_mount};
+use super::scan_motion::{of_scan, span_ns};
 use crate::log::BagOptions;
 use crate::log::Observation;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, RobotPose};
-use presight_model::measured::{Frame, Motion, OdometryNoise};
+use presight_model::measured::{Frame, Motion, OdometryNoise, ScanMotion};
 use presight_model::sensor::Sensor;
 use presight_ros::message::{CameraInfo, Message, Odometry, TFMessage};
 use presight_ros::{Bag, FrameTree, Lookup, Messages, Record, Survey, is_static_topic};
@@ -164,19 +165,42 @@ impl BagFrames {
         }
     }
 
+    /// The motion during the scan of the first waiting frame by the transforms of the odometry; `None` if its rays take no time
+    /// or the motion is unknown. `Err` if a transform at or after its last ray may still come.
+    fn scan_motion(&self, stamp: i64) -> Result<Option<ScanMotion>, ()> {
+        let sensor = self.waiting.front().map(|(_, frame)| frame.sensor()).filter(|s| !s.spec().times.is_at_once());
+        let (Some(sensor), Some(odom)) = (sensor, &self.choice.odom) else { return Ok(None) };
+        let interval = sensor.scan_interval();
+        self.base_in(odom, span_ns(stamp, interval).1)?;
+        let Ok((motion, reaches)) = of_scan(&self.tree, (odom.as_str(), self.choice.base.as_str()), stamp, interval)
+        else {
+            return Ok(None);
+        };
+        if !reaches {
+            let what = "the odometry does not reach over every scan: the motion between its two poses nearest to a scan is taken";
+            self.converter.add_notice(what);
+        }
+        Ok(Some(motion))
+    }
+
     /// The first waiting frame, if its transforms have come.
     fn ready(&mut self) -> Option<Observation> {
         let (stamp, _) = self.waiting.front()?;
         let stamp = *stamp;
         let odometry = self.choice.odom.as_ref().map_or(Ok(None), |odom| self.base_in(odom, stamp)).ok()?;
         let reference = if self.choice.has_reference { self.base_in("map", stamp).ok()? } else { None };
+        let moved = self.scan_motion(stamp).ok()?;
         let (_, mut frame) = self.waiting.pop_front()?;
+        let [first, _] = frame.sensor().scan_interval();
+        if let Some(motion) = moved {
+            frame = frame.with_scan_motion(motion);
+        }
         let since = self.before.zip(odometry).map(|(before, now)| before.inverse() * now);
         self.without_motion += u64::from(odometry.is_none());
         self.count += 1;
         frame.motion = since.map(|motion| Motion::of_odometry(motion, &self.noise));
         self.before = odometry;
-        self.tree.forget_before(stamp);
+        self.tree.forget_before(span_ns(stamp, [first, 0.0]).0);
         Some(Observation { frame, reference: reference.map(RobotPose::new) })
     }
 
