@@ -22,6 +22,7 @@ mod localize;
 #[cfg(target_os = "linux")]
 mod memory;
 mod messages;
+mod motion;
 #[cfg(unix)]
 mod outputs;
 #[cfg(unix)]
