@@ -120,7 +120,16 @@ impl Residuals {
 
     /// The figures; `None` while there are too few motions, or none that turn and change.
     pub fn misfit(&self) -> Option<Misfit> {
-        if self.rows < 3 * LEAST {
+        self.misfit_of(LEAST)
+    }
+
+    /// How long after their stamps scans are taken in the mean, by the clock of the odometry, seconds, from `least` motions on.
+    pub(super) fn after_stamp(&self, least: usize) -> Option<Figure> {
+        self.misfit_of(least).map(|misfit| (misfit.late.0 + self.after_stamp, misfit.late.1))
+    }
+
+    fn misfit_of(&self, least: usize) -> Option<Misfit> {
+        if self.rows < 3 * least {
             return None;
         }
         // A number that no motion determines keeps its place, with a large deviation.
@@ -146,6 +155,11 @@ impl Residuals {
 
     /// One line for each figure that is sure and that matters.
     pub fn warnings(&self) -> Vec<String> {
+        self.warnings_but(false)
+    }
+
+    /// [`Self::warnings`], without that of the clock if its cause `is_known`.
+    pub(super) fn warnings_but(&self, is_known: bool) -> Vec<String> {
         let Some(Misfit { turned, ahead, left, late }) = self.misfit() else { return Vec::new() };
         let (metres, radians, seconds) = MATTERS;
         let is_sure = |(x, sigma): Figure, least: f64| x.abs() > least && x.abs() > SURE * sigma;
@@ -163,7 +177,7 @@ impl Residuals {
                 lines.push(format!("the scanner seems mounted {:.3} +- {sigma:.3} m farther {side}; {mount}", x.abs()));
             }
         }
-        if is_sure(late, seconds) {
+        if is_sure(late, seconds) && !is_known {
             let (ms, sigma) = (1e3 * late.0, 1e3 * late.1);
             let side = side(ms, "later", "earlier");
             let what = format!(

@@ -2,17 +2,22 @@
 //! of motion and odometry is watched.
 
 use super::residuals::Residuals;
+use super::scan_time::ScanTime;
 use super::turning::check;
-use super::velocity::{Stamps, Velocity, twist_of};
+use super::velocity::Stamps;
 use super::{Localizer, Phase, State, Step};
+use crate::estimate::ScanError;
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
-use presight_model::measured::{Frame, ScanMotion};
+use presight_model::measured::Frame;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 
 /// A larger share of frames that contradict the odometry gives a warning: with the stated noise the share is 1 in 10,000.
 const CONTRADICTING: f64 = 0.02;
+
+/// Motions from which the place of the stamp in a scan is told: its deviation decides.
+const MIN_MOTIONS: usize = 10;
 
 /// Most pixels of an image while the robot is lost.
 const SEARCH_PIXELS: u64 = 2_000;
@@ -23,8 +28,9 @@ pub(super) struct Timing {
     /// Stamp of the first frame, seconds.
     first: Option<f64>,
     /// Frames since.
-    count: usize,
+    pub count: usize,
     residuals: Option<Residuals>,
+    pub scan_time: ScanTime,
     /// Where the robot was tracked at the frame before, and when.
     before: Option<(f64, Pose)>,
 }
@@ -48,16 +54,14 @@ impl Localizer {
     /// # Errors
     /// Those of [`Localizer::step`].
     pub fn step_together(&mut self, world: &World, frame: &Frame, beside: &[&Frame]) -> Result<Step> {
-        let ((middle, half), stamp_sigma) = (middle_of(frame.sensor()), frame.sensor().spec().noise.stamp_sigma);
+        let ((_, half), stamp_sigma) = (middle_of(frame.sensor()), frame.sensor().spec().noise.stamp_sigma);
         check(frame, frame.stamp - *self.timing.first.get_or_insert(frame.stamp), self.timing.count as f64)?;
         let thin = self.thinned_for_search(frame)?;
         let whole = thin.as_ref().unwrap_or(frame);
         let still = if half > 0.0 { Some(self.put_to_middle(world, whole)?) } else { None };
-        let (still, motion) = still.unzip();
-        let step = self.step_at_once(world, still.as_ref().unwrap_or(whole), beside);
-        self.estimator.set_twist_error([[0.0; 6]; 6]);
+        let step = self.step_at_once(world, still.as_ref().map_or(whole, |still| &still.frame), beside);
+        self.estimator.set_scan_error(ScanError::default());
         let mut step = step?;
-        step.scan_motion = motion;
         if let Some(thin) = &thin {
             // Verdicts of these pixels would not fit the frame.
             step.estimate.verdicts.clear();
@@ -71,13 +75,20 @@ impl Localizer {
             let size = (thin.sensor().width(), thin.sensor().height());
             step.reason += &format!("; looked for with {} x {} of the frame's pixels", size.0, size.1);
         }
+        let moved = self.learn_scan_time(world, whole, &step, still.as_ref())?;
         self.timing.count += 1;
         self.watch(&step, frame);
+        if let Some(moved) = moved {
+            step.pose = self.widened_by_turn(&step.pose, &moved);
+        }
         if half > 0.0 || stamp_sigma > 0.0 {
-            let freedom = self.estimator.options.freedom;
-            step.pose = self.velocity.before(&step.pose, middle, stamp_sigma, freedom);
+            if let Some(still) = &still {
+                self.velocity.learn_scan(&still.during);
+            }
+            step.pose = self.at_stamp(&step.pose, frame, still.as_ref().map(|still| &still.during));
             step.stamp = frame.stamp;
         }
+        step.scan_motion = still.map(|still| still.motion);
         Ok(step)
     }
 
@@ -98,7 +109,11 @@ impl Localizer {
     /// Warnings about the robot itself, one line each: a mount or a clock that is not as stated, and odometry that contradicts the
     /// frames.
     pub fn warnings(&self) -> Vec<String> {
-        let mut lines = self.timing.residuals.as_ref().map(Residuals::warnings).unwrap_or_default();
+        let residuals = self.timing.residuals.as_ref();
+        let scan = self.timing.scan_time.warning(residuals.and_then(|r| r.after_stamp(MIN_MOTIONS)));
+        let is_explained = scan.as_ref().is_some_and(|(_, is_explained)| *is_explained);
+        let mut lines: Vec<String> = scan.into_iter().map(|(line, _)| line).collect();
+        lines.extend(residuals.map(|r| r.warnings_but(is_explained)).unwrap_or_default());
         let (far, all) = self.velocity.contradicted();
         if far > 2 && far as f64 > CONTRADICTING * all as f64 {
             lines.push(format!(
@@ -108,37 +123,6 @@ impl Localizer {
         }
         lines.extend(self.frozen.warning());
         lines
-    }
-
-    /// A scan as from the middle of its turn. The motion of the turn is not known before the scan is matched: it is matched once with the
-    /// last motion, and then put right with the one that this leads to. The estimator then receives the covariance of the remaining error.
-    fn put_to_middle(&mut self, world: &World, frame: &Frame) -> Result<(Frame, ScanMotion)> {
-        let (freedom, (middle, half)) = (self.estimator.options.freedom, middle_of(frame.sensor()));
-        let (Some(stamp), Some(belief)) = (self.stamp, self.followed_pose()) else {
-            return self.undone(frame, &self.velocity.clone(), half);
-        };
-        let seconds = frame.stamp + middle - stamp;
-        if !(seconds > 0.0) {
-            return self.undone(frame, &self.velocity.clone(), half);
-        }
-        let mut velocity = self.velocity.clone();
-        let (_, prior) = velocity.carry(&belief, seconds, frame.motion.as_ref(), stamps_of(frame), freedom);
-        let first = self.undone(frame, &velocity, half)?;
-        let estimate = self.estimator.refine(world, &first.0, &prior)?;
-        if !estimate.is_determined() {
-            return Ok(first);
-        }
-        velocity.learn(&prior, &estimate.pose, freedom);
-        self.undone(frame, &velocity, half)
-    }
-
-    /// A scan without the motion of its turn, half a turn before and after the time that the velocity holds for.
-    fn undone(&mut self, frame: &Frame, velocity: &Velocity, half: f64) -> Result<(Frame, ScanMotion)> {
-        let (twist, covariance) = velocity.within(-half, half);
-        self.estimator.set_twist_error(covariance);
-        let motion = ScanMotion::Twist(twist_of(&twist));
-        let still = frame.clone().with_scan_motion(motion.clone()).deskewed(middle_of(frame.sensor()).0)?;
-        Ok((still, motion))
     }
 
     /// Compares the motion between two frames in a row that were tracked with the odometry.
