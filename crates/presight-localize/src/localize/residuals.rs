@@ -31,6 +31,10 @@ const SURE: f64 = 5.0;
 /// It must also exceed the usual error of a calibration: metres, radians, seconds.
 const MATTERS: (f64, f64, f64) = (0.01, 0.006, 0.005);
 
+/// Usual deviations of a, b, x, y, c, k and w, where the time alone is asked for: scales of some per cent, a mount known to some
+/// centimetres and degrees, and odometry that drifts by 0.02 rad/m.
+const USUAL: [f64; N] = [0.05, 0.05, 0.05, 0.05, 0.0, 0.05, 0.02];
+
 /// A motion, as the next one is needed to know how its rate changes.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
@@ -120,15 +124,17 @@ impl Residuals {
 
     /// The figures; `None` while there are too few motions, or none that turn and change.
     pub fn misfit(&self) -> Option<Misfit> {
-        self.misfit_of(LEAST)
+        self.misfit_of(LEAST, &[0.0; N])
     }
 
-    /// How long after their stamps scans are taken in the mean, by the clock of the odometry, seconds, from `least` motions on.
+    /// How long after their stamps scans are taken in the mean, by the clock of the odometry, seconds, from `least` motions on. Mount
+    /// and odometry are taken to be as good as usual.
     pub(super) fn after_stamp(&self, least: usize) -> Option<Figure> {
-        self.misfit_of(least).map(|misfit| (misfit.late.0 + self.after_stamp, misfit.late.1))
+        self.misfit_of(least, &USUAL).map(|misfit| (misfit.late.0 + self.after_stamp, misfit.late.1))
     }
 
-    fn misfit_of(&self, least: usize) -> Option<Misfit> {
+    /// `known` has the standard deviations of the numbers before the drive; 0 if nothing is known of one.
+    fn misfit_of(&self, least: usize, known: &[f64; N]) -> Option<Misfit> {
         if self.rows < 3 * least {
             return None;
         }
@@ -139,6 +145,9 @@ impl Residuals {
         let found = solve_factored(&l, &self.right);
         let explained: f64 = found.iter().zip(&self.right).map(|(x, r)| x * r).sum();
         let scatter = (self.squares - explained).max(0.0) / (self.rows - N) as f64;
+        (0..N).filter(|i| known[*i] > 0.0).for_each(|i| information[i][i] += scatter / known[i].powi(2));
+        let l = cholesky(&information, |x| (x > 0.0).then_some(x))?;
+        let found = solve_factored(&l, &self.right);
         let sigma = |i: usize| {
             let unit: [f64; N] = std::array::from_fn(|j| if i == j { 1.0 } else { 0.0 });
             (scatter * solve_factored(&l, &unit)[i].max(0.0)).sqrt()

@@ -28,8 +28,9 @@ const CERTAIN: f64 = 5.0;
 const EXACT: f64 = 0.02;
 /// And differ from what is stated by this part of it.
 const MATTERS: f64 = 0.05;
-/// A place of the stamp is told if the next one is as many deviations farther off: by chance one in a million.
-const APART: f64 = 5.0;
+/// A place of the stamp is told if the next one is as many deviations farther off: the wrong one is then told once in 40,000, as the
+/// measured time lies two deviations on its side of the middle between both.
+const APART: f64 = 4.0;
 /// Standard normal deviate of the probability that a scan without motion seems to have some: 1 in 10,000.
 const VISIBLE: f64 = 3.719;
 /// Room that is left to a pose while its scan's motion is estimated, one standard deviation: metres and radians of half a turn.
@@ -213,17 +214,19 @@ fn rounded(figure: f64, sigma: f64) -> String {
 }
 
 impl Localizer {
-    /// Learns the duration of scans from a frame. Returns by how much its points move from the first column to the last, metres
-    /// and radians in the robot's axes, if they visibly do and nobody says when they were measured.
+    /// Learns the duration of scans from a frame. For a scan of which nobody says when its points were measured, it returns by how
+    /// much these move from the first column to the last, metres and radians in the robot's axes, if they visibly do, and the pose in
+    /// the middle of the scan.
     pub(super) fn learn_scan_time(
         &mut self,
         world: &World,
         frame: &Frame,
         step: &Step,
         still: Option<&Still>,
-    ) -> Result<Option<Vector>> {
+    ) -> Result<(Option<Vector>, Option<Pose>)> {
         let freedom = self.estimator.options.freedom;
         let is_first = self.timing.count == 0;
+        let mut middle = None;
         let said = match (still, &frame.sensor().spec().times) {
             (Some(still), RayTimes::Columns { turn_s, stamp }) => {
                 if is_first {
@@ -231,21 +234,25 @@ impl Localizer {
                 }
                 still.said.map(|said| said.per(*turn_s))
             }
-            (None, _) => self.said_by_untimed(world, frame, step)?,
+            (None, _) => self.said_by_untimed(world, frame, step)?.map(|(said, pose)| {
+                middle = Some(pose);
+                said
+            }),
             _ => None,
         };
         let is_followed = step.is_known() && !step.carried;
-        let pose = is_followed.then_some(step.pose.world_from_robot);
+        let pose = is_followed.then_some(middle.unwrap_or(step.pose.world_from_robot));
         let density = std::array::from_fn(|i| self.velocity.density(i));
         self.timing.scan_time.add(step.stamp, pose, said, density, freedom);
         if still.is_some() || !can_turn(frame) {
-            return Ok(None);
+            return Ok((None, None));
         }
-        Ok(self.timing.scan_time.visible(said.as_ref(), self.velocity.twist(), freedom))
+        Ok((self.timing.scan_time.visible(said.as_ref(), self.velocity.twist(), freedom), middle))
     }
 
-    /// What a scan says of its points' motion from the first column to the last, if nobody says when they were measured.
-    fn said_by_untimed(&mut self, world: &World, frame: &Frame, step: &Step) -> Result<Option<ScanTwist>> {
+    /// What a scan says of its points' motion from the first column to the last, if nobody says when they were measured, and the
+    /// pose in its middle.
+    fn said_by_untimed(&mut self, world: &World, frame: &Frame, step: &Step) -> Result<Option<(ScanTwist, Pose)>> {
         let (freedom, seconds) = (self.estimator.options.freedom, self.velocity.seconds());
         let moved = self.velocity.twist().map(|x| x * seconds);
         let is_due = can_turn(frame)
@@ -271,7 +278,7 @@ impl Localizer {
             }
             let off = motion_between(&step.pose.world_from_robot, &estimate.pose.world_from_robot);
             self.timing.scan_time.bias = apply(&turn(step.pose.world_from_robot.rotation.conjugate()), &off);
-            said = Some(scan.beyond(&so_far));
+            said = Some((scan.beyond(&so_far), estimate.pose.world_from_robot));
             so_far = scan.beyond(&so_far).with(&inverse(&known, freedom.axes()), &[0.0; 6], freedom).0;
             supposed = still;
         }

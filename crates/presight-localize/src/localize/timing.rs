@@ -31,8 +31,8 @@ pub(super) struct Timing {
     pub count: usize,
     residuals: Option<Residuals>,
     pub scan_time: ScanTime,
-    /// Where the robot was tracked at the frame before, and when.
-    before: Option<(f64, Pose)>,
+    /// Where the robot was tracked at the frame before, when, and whether by a scan with its motion.
+    before: Option<(f64, Pose, bool)>,
 }
 
 /// Seconds from the stamp to the middle of a scan, and half of the scan's duration.
@@ -75,9 +75,9 @@ impl Localizer {
             let size = (thin.sensor().width(), thin.sensor().height());
             step.reason += &format!("; looked for with {} x {} of the frame's pixels", size.0, size.1);
         }
-        let moved = self.learn_scan_time(world, whole, &step, still.as_ref())?;
+        let (moved, pose) = self.learn_scan_time(world, whole, &step, still.as_ref())?;
         self.timing.count += 1;
-        self.watch(&step, frame);
+        self.watch(&step, frame, pose);
         if let Some(moved) = moved {
             step.pose = self.widened_by_turn(&step.pose, &moved);
         }
@@ -126,12 +126,16 @@ impl Localizer {
     }
 
     /// Compares the motion between two frames in a row that were tracked with the odometry.
-    fn watch(&mut self, step: &Step, frame: &Frame) {
-        let now = (step.phase == Phase::Tracking).then_some((step.stamp, step.pose.world_from_robot));
+    /// `moving` is the pose with the motion of a scan whose times nobody states.
+    fn watch(&mut self, step: &Step, frame: &Frame, moving: Option<Pose>) {
+        let is_moving = moving.is_some();
+        let pose = moving.unwrap_or(step.pose.world_from_robot);
+        let now = (step.phase == Phase::Tracking).then_some((step.stamp, pose, is_moving));
         let (middle, _) = middle_of(frame.sensor());
         let residuals = self.timing.residuals.get_or_insert_with(|| Residuals::new(middle));
         match (self.timing.before, now, &frame.motion) {
-            (Some((then, before)), Some((stamp, now)), Some(odometry)) => {
+            // Poses of either kind err alike.
+            (Some((then, before, was)), Some((stamp, now, is)), Some(odometry)) if was == is => {
                 residuals.add(&(before.inverse() * now), odometry, stamp - then);
             }
             _ => residuals.interrupt(),

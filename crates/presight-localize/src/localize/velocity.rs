@@ -420,7 +420,7 @@ impl Velocity {
 
     /// Variance of the twist's change in one second, as scans taught it.
     fn scan_density(&self, learnt: &[(f64, f64); 6], i: usize) -> f64 {
-        learnt[i].0.max(LEAST_CHANGE * self.noise.density(i)).min(self.density(i).max(learnt[i].0))
+        learnt[i].0.max(LEAST_CHANGE * self.noise.density(i))
     }
 
     /// Learns from the twist during the latest frame's scan how much the twist changes from scan to scan, and how far the motion
