@@ -4,7 +4,7 @@ use super::changed::hall;
 use super::*;
 use presight_localize::estimate::nees;
 use presight_localize::localize::Phase;
-use presight_model::measured::ScanMotion;
+use presight_model::geometry::Twist;
 use presight_model::sensor::{RayTimes, StampAt};
 use presight_testkit::caster::Caster;
 use presight_testkit::oracle::Oracle;
@@ -59,9 +59,9 @@ impl Drive {
     }
 
     /// The true twist of the robot from the stamp on, in its axes.
-    fn twist(&self, k: u32) -> presight_model::geometry::Twist {
+    fn twist(&self, k: u32) -> Twist {
         let time = Self::BEFORE + 0.1 * f64::from(k);
-        presight_model::geometry::Twist::to(&(self.route.at(time).inverse() * self.route.at(time + 0.1)), 0.1)
+        Twist::to(&(self.route.at(time).inverse() * self.route.at(time + 0.1)), 0.1)
     }
 
     fn warnings(&mut self, frames: u32) -> Vec<String> {
@@ -94,7 +94,8 @@ fn the_first_scan_of_a_driving_robot_tells_its_motion() {
             let off = apart(&step.pose.world_from_robot, &truth);
             assert!(off.0 < 0.01 && off.1 < 0.3, "{seed}, {k}: {off:?}");
             sum += squared / axes as f64 / 3.0;
-            let Some(ScanMotion::Twist(twist)) = step.scan_motion else { panic!("no twist") };
+            let motion = step.scan_motion.unwrap();
+            let twist = Twist::to(&(motion.at(0.0).unwrap().inverse() * motion.at(0.099).unwrap()), 0.099);
             let true_twist = drive.twist(k);
             let metres = (twist.linear - true_twist.linear).length();
             assert!(metres < 0.05, "{seed}, {k}: {twist:?} instead of {true_twist:?}");

@@ -57,7 +57,9 @@ impl Localizer {
             Some(since) => velocity.carry(&belief, since, frame.motion.as_ref(), stamps_of(frame), freedom).1,
             None => velocity.before(&belief, -middle, 0.0, freedom),
         });
-        let given = frame.scan_motion().map(|motion| (motion.clone(), error_of_given(frame, motion)));
+        let [first, last] = frame.sensor().scan_interval();
+        let reaches = |motion: &&ScanMotion| motion.at(first).and(motion.at(last)).and(motion.at(0.0)).is_some();
+        let given = frame.scan_motion().filter(reaches).map(|motion| (motion.clone(), error_of_given(frame, motion)));
         let (guess, known) = velocity.within(-half, half);
         let (motion, known) = given.clone().unwrap_or((ScanMotion::Twist(twist_of(&guess)), known));
         let Some(prior) = prior else { return self.undone(frame, motion, known, &velocity) };
@@ -125,10 +127,14 @@ impl Localizer {
         }
     }
 
-    /// The pose at the stamp of a scan, by the one at its middle.
-    pub(super) fn at_stamp(&self, pose: &PoseEstimate, frame: &Frame, during: Option<&DuringScan>) -> PoseEstimate {
-        let (freedom, (middle, _)) = (self.estimator.options.freedom, middle_of(frame.sensor()));
-        let sigma = frame.sensor().spec().noise.stamp_sigma;
+    /// The pose at the stamp of a scan, by the one at its middle: seconds after the stamp, which errs by `sigma` seconds.
+    pub(super) fn at_stamp(
+        &self,
+        pose: &PoseEstimate,
+        (middle, sigma): (f64, f64),
+        during: Option<&DuringScan>,
+    ) -> PoseEstimate {
+        let freedom = self.estimator.options.freedom;
         match during {
             Some(during) => self.velocity.before_in_scan(pose, middle, sigma, freedom, during),
             None => self.velocity.before(pose, middle, sigma, freedom),
