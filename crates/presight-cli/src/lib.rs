@@ -6,6 +6,8 @@ mod bag_args;
 mod bar;
 mod batch;
 mod compare;
+#[cfg(feature = "ros")]
+mod compared_bag;
 mod deadline;
 mod doctor;
 mod drive;
@@ -29,6 +31,8 @@ mod localize;
 mod motion_args;
 #[cfg(feature = "store")]
 mod occupancy;
+#[cfg(feature = "ros")]
+mod output_bag;
 mod outputs;
 mod overlap;
 pub mod pose;
