@@ -61,7 +61,8 @@ impl Frame {
     }
 
     /// The frame as measured at one moment, in the middle of its scan, where an error of the motion does least; the frame
-    /// itself if it [`Frame::has_one_pose`]. Without a motion ([`Frame::scan_motion`]) the robot counts as standing.
+    /// itself if it [`Frame::has_one_pose`]. A robot whose motion is unknown ([`Frame::scan_motion`]) counts as
+    /// standing.
     ///
     /// # Errors
     /// Those of [`Frame::deskewed`].
