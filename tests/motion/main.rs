@@ -31,8 +31,8 @@ fn driven(count: usize, seed: u64) -> (World, Sensor, Vec<Scan>, Vec<Pose>) {
     (world, sensor, scans, between)
 }
 
-/// Planted faults lower the share: no motion, a velocity in the world's axes, the other direction of turning, times before
-/// the stamp.
+/// Planted faults lower the share: no motion, a velocity in the world's axes, the other direction of turning, times
+/// before the stamp.
 #[test]
 fn verdicts_of_a_driving_robot_are_those_of_a_standing_one() {
     let (world, _, scans, _) = driven(6, 1);
