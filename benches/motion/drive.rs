@@ -29,13 +29,13 @@ pub struct Scan {
     path: Vec<(f64, Pose)>,
 }
 
-/// What a frame says of its motion.
+/// The motion that a frame reports.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Told {
     /// The truth.
     Truth,
     Nothing,
-    /// The way in the axes of the world instead of the robot's.
+    /// Velocity along the axes of the world instead of the robot's.
     WorldAxes,
     /// The last column first.
     TurnExchanged,
@@ -73,7 +73,7 @@ impl Scan {
     }
 }
 
-/// A lidar of 40 degrees on the robot, all round.
+/// A lidar on the robot with a full turn of columns and 40 degrees of rows.
 pub fn lidar(columns: u32, rows: u32) -> Sensor {
     let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 360.0 / f64::from(columns), count: columns };
     let elevation = |r: u32| 20.0 - 40.0 * f64::from(r) / f64::from(rows.max(2) - 1);

@@ -176,11 +176,12 @@ impl Localizer {
     }
 }
 
-/// Pieces of the path of a scan: in 0.1 s, a robot at 2 m/s and 2 rad/s leaves the straight lines between them by 0.02 mm.
+/// Pieces of the path of a scan: in 0.1 s, a robot at 2 m/s and 2 rad/s leaves the straight lines by 0.02 mm.
 const PIECES: usize = 16;
 
-/// The motion during a scan so that it leads from the pose at the stamp to the pose at the moment that the scan was moved to.
-/// Between both, the speed is known better than its mean over the scan, so that the motion alone would miss it.
+/// The motion during a scan, adjusted so that it leads exactly from the pose at the stamp to the pose at the middle.
+/// The pose at the stamp follows from the speed before the middle, which differs from the mean speed of the scan if the
+/// robot accelerates.
 fn through(
     motion: &ScanMotion,
     (middle, stamp_from_middle): (f64, Pose),
