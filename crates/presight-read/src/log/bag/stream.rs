@@ -189,8 +189,8 @@ impl Stream {
         }
     }
 
-    /// Takes a frame as that of the odometry if there is none yet and transforms lead to it: odometry may begin after the
-    /// first scan.
+    /// Takes a frame as the origin of the odometry if there is none yet and transforms lead to it: odometry may begin
+    /// after the first scan.
     pub(super) fn find_odometry(&mut self, frame: &str) {
         let is_connected = || self.tree.lookup(frame, &self.choice.base, 0) != Lookup::Unconnected;
         if self.choice.odom.is_none() && is_connected() {
