@@ -62,10 +62,10 @@ impl Localizer {
         let given = frame.scan_motion().filter(reaches).map(|motion| (motion.clone(), error_of_given(frame, motion)));
         let (guess, known) = velocity.within(-half, half);
         let (motion, known) = given.clone().unwrap_or((ScanMotion::Twist(twist_of(&guess)), known));
-        let Some(prior) = prior else { return self.undone(frame, motion, known, &velocity) };
+        let Some(prior) = prior else { return self.undone(frame, (middle, half), motion, known, &velocity) };
         let thin = thinned(frame)?;
         let part = thin.as_ref().unwrap_or(frame);
-        let mut still = self.undone(part, motion, known, &velocity)?;
+        let mut still = self.undone(part, (middle, half), motion, known, &velocity)?;
         for _ in 0..MAX_ROUNDS {
             let (estimate, scan) = self.estimator.refine_with_twist(world, &still.frame, &prior, &known)?;
             if !estimate.is_determined() {
@@ -84,7 +84,7 @@ impl Localizer {
             let (change, covariance) = scan.with(&sum.information, &sum.pull, freedom);
             let (motion, said) = (corrected(&still.motion, &change, middle), scan.beyond(&still.during.twist));
             let is_seen = std::array::from_fn(|i| covariance[i][i] < SEEN * sum.covariance[i][i]);
-            still = Still { said: Some(said), ..self.undone(part, motion, covariance, &moved)? };
+            still = Still { said: Some(said), ..self.undone(part, (middle, half), motion, covariance, &moved)? };
             still.during.is_seen = is_seen;
             if half * change[3..].iter().map(|x| x * x).sum::<f64>().sqrt() < SMALL_TURN {
                 break;
@@ -102,8 +102,14 @@ impl Localizer {
     }
 
     /// A scan without a motion, whose mean twist has this covariance.
-    fn undone(&mut self, frame: &Frame, motion: ScanMotion, known: Matrix, velocity: &Velocity) -> Result<Still> {
-        let (middle, half) = middle_of(frame.sensor());
+    fn undone(
+        &mut self,
+        frame: &Frame,
+        (middle, half): (f64, f64),
+        motion: ScanMotion,
+        known: Matrix,
+        velocity: &Velocity,
+    ) -> Result<Still> {
         let is_course = matches!(motion, ScanMotion::Path(_));
         let acceleration = if is_course { [[0.0; 6]; 6] } else { velocity.acceleration(half) };
         self.estimator.set_scan_error(ScanError { twist: known, acceleration });
