@@ -292,7 +292,7 @@ fn a_circle_of_origins_in_a_cylinder() {
         assert!((f64::from(*range) - 1.5 / off(i).cos()).abs() < 1e-6, "{i}: {range}");
     }
     let points = PointCloud::new(&images, &sensor, &SensorPose::IDENTITY, PointsFrame::Sensor).unwrap();
-    assert!(points.positions().iter().all(|p| (p.length() - 2.0).abs() < 1e-5));
+    assert!(points.positions().iter().all(|p| (p.length() - 2.0).abs() < 2e-5));
 }
 
 /// Points deskewed to any moment lie on the model within the rounding of ranges; as sensed they do not.
@@ -340,6 +340,6 @@ fn what_needs_one_pose_is_refused() {
     let angles = Angles::Listed(vec![0.0]);
     let scanner = Scanner { azimuth: angles.clone(), elevation: angles, beam_height_deg: None };
     let still = Sensor::new(SensorSpec::new("still", "laser", Geometry::Scanner(scanner))).unwrap();
-    let at_once = Request::default().with_motion(ScanMotion::Twist(twist())).with_deadline(10 * deadline);
-    assert!(predictor.predict(&world, &still, &SensorPose::IDENTITY, &at_once).is_ok(), "one time, one pose");
+    let at_once = Request::default().with_motion(ScanMotion::Twist(twist())).with_deadline(deadline);
+    assert!(at_once.check(&still).is_ok(), "one time, one pose");
 }
