@@ -237,9 +237,9 @@ fn bundles_of_one_pose_have_the_bits_of_one_bundle() {
     }
 }
 
-/// The room's wall ahead, at x = 5 m, and the one on the left, at y = 4 m, from a robot in its middle. By hand: a beam at
-/// the azimuth a, t seconds after the stamp, starts at x = v t and sees the wall ahead at (5 - v t) / cos a, the left one
-/// at 4 / sin a. On a robot that turns at w about the middle it points along a + w t.
+/// The room's wall ahead, at x = 5 m, and the one on the left, at y = 4 m, from a robot in its middle. By hand: a beam
+/// at the azimuth a, t seconds after the stamp, starts at x = v t and sees the wall ahead at (5 - v t) / cos a, the left
+/// one at 4 / sin a. On a robot that turns at w about the middle it points along a + w t.
 #[test]
 fn walls_while_driving_and_turning() {
     let world = scenes::room_world(1, 0);
