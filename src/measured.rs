@@ -3,4 +3,5 @@
 #[doc(inline)]
 pub use presight_model::measured::{
     Frame, FrameAtMoment, GreyImage, MAX_POSE_GAP_S, Measurement, Motion, OdometryNoise, RangeNoise, ScanMotion,
+    Trajectory,
 };

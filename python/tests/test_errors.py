@@ -147,6 +147,10 @@ def test_sensors():
 def test_measurements(room, cpu, tmp_path):
     for call in (lambda: presight.Frame("laser-scanner", 0.0, np.zeros(360)), lambda: presight.Frame("laser-scanner", NAN, np.ones(361)),
                  lambda: presight.Frame("laser-scanner", 0.0, np.ones(361), intensities=np.full(361, 2.0)),
+                 lambda: presight.Frame("laser-scanner", 0.0, np.ones(361), times=np.arange(361) * 1e6),
+                 lambda: presight.Frame("laser-scanner", 0.0, np.ones(361), times=np.zeros(360)),
+                 lambda: presight.Frame("laser-scanner", 0.0, np.ones(361), twist=[1, 0, 0]),
+                 lambda: presight.Frame("laser-scanner", 0.0, np.ones(361), twist=[NAN, 0, 0, 0, 0, 0]),
                  lambda: presight.Log.open(tmp_path), lambda: presight.Log.open(tmp_path / "no.json"),
                  lambda: cpu.likelihood(room, "laser-scanner", np.ones(360), [POSE]),
                  lambda: cpu.likelihood(room, "laser-scanner", np.full(361, NAN), [POSE]),

@@ -4,5 +4,7 @@ mod beams;
 mod build;
 mod import;
 mod mirrored;
+#[cfg(feature = "ros")]
+mod moving_clouds;
 #[cfg(feature = "script")]
 mod script;

@@ -7,13 +7,17 @@ mod deskew;
 mod grey;
 mod motion;
 mod noise;
+mod poses;
 mod range_grid;
+mod trajectory;
 
 pub use deskew::FrameAtMoment;
 pub use grey::GreyImage;
 pub use motion::{MAX_POSE_GAP_S, ScanMotion};
 pub use noise::RangeNoise;
+pub use poses::ScanPoses;
 pub use range_grid::{RangeGrid, range_grid};
+pub use trajectory::Trajectory;
 
 use crate::error::{Error, Result};
 use crate::geometry::{InRobot, Pose, PoseCovariance};

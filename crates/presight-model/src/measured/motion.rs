@@ -96,8 +96,8 @@ impl ScanMotion {
             Self::Path(poses) => {
                 let next = poses.partition_point(|(t, _)| *t < seconds).clamp(1, poses.len() - 1);
                 let ((t0, a), (t1, b)) = (poses[next - 1], poses[next]);
-                // A path that ends with the scan may end a rounding before it.
-                let slack = 1e-6 * (t1 - t0);
+                // A path that ends with the scan may end a rounding of two stamps before it: 0.2 us in Unix time.
+                let slack = 1e-6;
                 let inside = (t0 - slack..=t1 + slack).contains(&seconds);
                 inside.then(|| a.between(&b, (seconds - t0) / (t1 - t0)))
             }

@@ -1,6 +1,7 @@
 //! Sensors: image geometry, range limits, class and mount.
 
 mod beams;
+mod bundles;
 mod camera;
 mod cone_tree;
 mod direction_map;
@@ -21,6 +22,7 @@ mod times;
 mod undistort;
 
 pub use beams::BeamTable;
+pub use bundles::Bundles;
 pub use camera::Camera;
 pub use cone_tree::ConeTree;
 pub use direction_map::DirectionMap;
@@ -203,6 +205,8 @@ struct SensorData {
     directory: OnceLock<Directory>,
     /// Built on first use.
     tiles: OnceLock<RayTiles>,
+    /// Of a sensor that stands, and of one that moves; built on first use.
+    bundles: [OnceLock<Bundles>; 2],
 }
 
 impl Sensor {
@@ -229,7 +233,9 @@ impl Sensor {
         let (width, height) = spec.geometry.size();
         let projector = Projector::new(&spec);
         let (part, thinned, directory, tiles) = (None, Thinned::default(), OnceLock::new(), OnceLock::new());
-        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height, part, thinned, directory, tiles })))
+        let bundles = Default::default();
+        let data = SensorData { spec, grid, projector, width, height, part, thinned, directory, tiles, bundles };
+        Ok(Self(Arc::new(data)))
     }
 
     /// The specification from which the sensor was made.
@@ -307,6 +313,15 @@ impl Sensor {
         self.of_table(RayTable::starts, column, row)
     }
 
+    /// Metres along each ray from [`Sensor::origin`] to [`Sensor::start`].
+    #[inline]
+    pub fn range_lead(&self) -> f64 {
+        match &self.0.spec.geometry {
+            Geometry::Rays(table) => table.range_lead(),
+            _ => 0.0,
+        }
+    }
+
     #[inline]
     fn of_table(&self, points: impl Fn(&RayTable) -> Option<&[DVec3]>, column: u32, row: u32) -> DVec3 {
         match &self.0.spec.geometry {
@@ -327,6 +342,19 @@ impl Sensor {
     /// Seconds from the stamp of a frame to its earliest ray and to its latest.
     pub fn scan_interval(&self) -> [f64; 2] {
         self.spec().times.interval(self.spec().geometry.size())
+    }
+
+    /// The rays in bundles of one origin, and of one time too if the sensor moves; built on the first call.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if there is no memory for them.
+    #[doc(hidden)]
+    pub fn bundles(&self, moves: bool) -> Result<&Bundles> {
+        let slot = &self.0.bundles[usize::from(moves)];
+        if slot.get().is_none() {
+            let _ = slot.set(Bundles::new(self, moves)?);
+        }
+        Ok(slot.get().expect("they were set"))
     }
 
     /// Arrangement of rays in tiles, without building any.

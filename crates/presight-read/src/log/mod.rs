@@ -25,7 +25,7 @@ pub mod scans;
 mod tests;
 
 pub use bag_options::BagOptions;
-pub use frames::{Frames, Observation};
+pub use frames::{Frames, Observation, Recorded};
 pub use readings::notice_of_readings;
 
 use super::file;
@@ -105,6 +105,7 @@ impl LogFrame {
             frame = frame.with_intensities(GreyImage::new(size.0, size.1, values)?)?;
         }
         if let Some(twist) = self.twist {
+            check_twist(&twist)?;
             frame = frame.with_scan_motion(ScanMotion::Twist(twist));
         }
         frame.motion = self.odometry.map(|motion| Motion::of_odometry(motion, noise));

@@ -44,6 +44,45 @@ pub(super) fn listed(sensor: &Sensor, times: &[f32]) -> Result<Sensor> {
     Sensor::new(sensor.spec().clone().with_times(RayTimes::Listed(times.into())))
 }
 
+/// The times of the rays of a cloud, an image of `size` columns and rows, from those of its points or of the given sensor, with
+/// a notice on what is left out.
+///
+/// # Errors
+/// [`presight_model::ErrorKind::Invalid`] if both are there and contradict each other.
+pub(super) fn of_cloud(
+    own: Option<Vec<f32>>,
+    given: Option<&SensorSpec>,
+    size: (u32, u32),
+    is_organized: bool,
+) -> Result<(RayTimes, Option<&'static str>)> {
+    let given = given.filter(|spec| !spec.times.is_at_once());
+    let Some(own) = own else {
+        let Some(spec) = given else { return Ok((RayTimes::AtOnce, None)) };
+        let fits = is_organized && (spec.geometry.size() == size || !matches!(spec.times, RayTimes::Listed(_)));
+        if fits {
+            return Ok((spec.times.clone(), None));
+        }
+        let notice = "the sensor states when its columns are measured, and the points have neither columns of it nor times: \
+                      they count as measured at the stamp";
+        return Ok((RayTimes::AtOnce, Some(notice)));
+    };
+    let times = RayTimes::Listed(own.into());
+    if let Some(spec) = given {
+        let (found, stated) = (times.interval(size), spec.times.interval(spec.geometry.size()));
+        let slack = MAX_DEVIATION * (stated[1] - stated[0]);
+        // Points without a reading are missing, so that a scan may seem shorter.
+        if found[0] < stated[0] - slack || found[1] > stated[1] + slack {
+            let what = format!(
+                "the points were measured from {:.4} s to {:.4} s after the stamp, but by the times of the sensor from \
+                 {:.4} s to {:.4} s",
+                found[0], found[1], stated[0], stated[1]
+            );
+            return Err(Error::invalid(what, "leave out turn_s of the sensor, or correct it and its stamp"));
+        }
+    }
+    Ok((times, None))
+}
+
 /// The sensor of frames that bring the times of their rays. It is kept for as long as these stay the same.
 #[derive(Debug)]
 pub(super) struct TimedSensor {
