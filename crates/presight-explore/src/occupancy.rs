@@ -128,7 +128,9 @@ impl Grid {
         let field = HeightField::new(&polygons, frame, &field_options)?;
         let (numbers, levels): (Vec<usize>, Vec<Level>) = field.levels().into_iter().unzip();
         let chosen = match options.level {
-            Some(number) => Some(numbers.get(number.wrapping_sub(1)).copied().ok_or_else(|| no_level(number, &levels))?),
+            Some(number) => {
+                Some(numbers.get(number.wrapping_sub(1)).copied().ok_or_else(|| no_level(number, &levels))?)
+            }
             None => options.floor.map_or_else(|| field.default_level(), |height| field.level_at(height)),
         };
         let floor = chosen.map(|level| field.level(level).height).or(options.floor).unwrap_or(bounds.min.z);

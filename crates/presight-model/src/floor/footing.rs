@@ -55,7 +55,8 @@ impl Footing {
         }
         parts.sort_by(|a, b| a.low.total_cmp(&b.low));
         let here = |part: &Part| {
-            (distance_from_above(&part.outline, DVec2::ZERO) <= super::SEAM).then(|| height_at(&part.corners, DVec2::ZERO))
+            (distance_from_above(&part.outline, DVec2::ZERO) <= super::SEAM)
+                .then(|| height_at(&part.corners, DVec2::ZERO))
         };
         let usual = mobility.step + mobility.rise(radius);
         let near = parts.iter().filter_map(here).filter(|height| (height - p.z).abs() <= usual);
@@ -76,7 +77,8 @@ impl Footing {
             return true;
         }
         let floor = |p: DVec3| {
-            let above = self.parts.iter().filter(|part| distance_from_above(&part.outline, p.truncate()) <= super::SEAM);
+            let above =
+                self.parts.iter().filter(|part| distance_from_above(&part.outline, p.truncate()) <= super::SEAM);
             above.map(|part| height_at(&part.corners, p.truncate())).reduce(f64::max).unwrap_or(self.height)
         };
         corners.iter().any(|p| p.z >= floor(*p) + clearance - 1e-9)

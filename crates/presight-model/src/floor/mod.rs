@@ -51,7 +51,8 @@ impl Mobility {
 
     /// The direction of the normal of a floor polygon; `None` if the polygon is too steep.
     fn facing(&self, corners: &[DVec3]) -> Option<Facing> {
-        let normal: DVec3 = (2..corners.len()).map(|k| (corners[k - 1] - corners[0]).cross(corners[k] - corners[0])).sum();
+        let normal: DVec3 =
+            (2..corners.len()).map(|k| (corners[k - 1] - corners[0]).cross(corners[k] - corners[0])).sum();
         // A margin for the rounding of corners in f32, so that a floor of exactly this slope counts.
         let is_level = normal.z.abs() >= (self.slope_deg.to_radians().cos() - 1e-6) * normal.length();
         (is_level && normal.z != 0.0).then_some(if normal.z > 0.0 { Facing::Up } else { Facing::Down })

@@ -47,8 +47,7 @@ impl GridFrame {
 
     /// The rows that a polygon touches, metres from the origin.
     pub(super) fn rows(&self, corners: &[DVec3]) -> Range<usize> {
-        let (low, high) =
-            corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), p| (a.min(p.y), b.max(p.y)));
+        let (low, high) = corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), p| (a.min(p.y), b.max(p.y)));
         self.touched(low, high, self.height)
     }
 
@@ -87,12 +86,7 @@ impl GridFrame {
     }
 
     /// As [`Self::each_touched`] for some rows, and a polygon in metres from the origin.
-    pub(super) fn each_cell(
-        &self,
-        corners: &[DVec3],
-        rows: &Range<usize>,
-        mut visit: impl FnMut(usize, f64, f64),
-    ) {
+    pub(super) fn each_cell(&self, corners: &[DVec3], rows: &Range<usize>, mut visit: impl FnMut(usize, f64, f64)) {
         self.strips(corners, rows, |row, columns, strip| {
             let of_strip = heights(strip);
             let is_level = of_strip.0 == of_strip.1 || columns.len() == 1;
