@@ -1,8 +1,8 @@
 //! Occupancy grids for planners: YAML and PGM as the map_server of nav2 reads them.
 //!
 //! A cell is occupied if a surface between two heights above the floor reaches into it. It is free if a floor covers it
-//! completely and it is not occupied. It is unknown otherwise, and where a mark records an unobserved space. The floor is
-//! one level of [`HeightField`]; heights count from the floor of each cell, so that ramps and steps belong to it.
+//! completely and it is not occupied. It is unknown otherwise, and where a mark records an unobserved space. The floor
+//! is one level of [`HeightField`]; heights count from the floor of each cell, so that ramps and steps belong to it.
 
 use glam::{DVec2, DVec3};
 use presight_model::environment::{Environment, MarkKind, Object};

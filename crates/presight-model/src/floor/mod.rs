@@ -1,8 +1,8 @@
 //! The floor: where a robot of a given height, step and slope can drive.
 //!
-//! A floor is a surface that is at most as steep as the robot's slope. Surfaces of one place whose heights are at most a
-//! step apart count as one floor, so that carpets, kerbs and thin slabs need no special case. A place has a floor only
-//! if polygons of this floor cover all of it: they are subtracted from its outline, and nothing may remain.
+//! A floor is a surface that is at most as steep as the robot's slope. Surfaces of one place whose heights are at most
+//! a step apart count as one floor, so that carpets, kerbs and thin slabs need no special case. A place has a floor
+//! only if polygons of this floor cover all of it: they are subtracted from its outline, and nothing may remain.
 //!
 //! [`HeightField`] holds all floors of a scene on a grid, divided into levels. [`Footing`] is the floor around one
 //! point of a world.

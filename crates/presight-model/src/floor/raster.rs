@@ -103,7 +103,8 @@ impl GridFrame {
         heights(&half(&half(strip, |p| p.x - low), |p| high - p.x))
     }
 
-    /// The columns of a row whose cells lie wholly inside all sides: outward normals and offsets, metres from the origin.
+    /// The columns of a row whose cells lie wholly inside all sides, given by outward normals and offsets, metres from
+    /// the origin.
     pub(super) fn inside(&self, sides: &[(DVec2, f64)], row: usize, columns: &Range<usize>) -> Range<usize> {
         let (low, high) = (row as f64 * self.cell, (row + 1) as f64 * self.cell);
         let (mut first, mut end) = (columns.start as f64, columns.end as f64);

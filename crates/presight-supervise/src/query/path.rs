@@ -27,8 +27,8 @@ pub enum FloorPath {
         reached: DVec3,
         /// Distance from there to the end, metres.
         missing: f64,
-        /// Path of the first object on the straight line from there to the end; `None` if the floor ends, or a sensor saw
-        /// something.
+        /// Path of the first object on the straight line from there to the end; `None` if the floor ends, or a sensor
+        /// saw something.
         object: Option<String>,
     },
 }
