@@ -112,9 +112,9 @@ impl Grid {
     /// The grid of an environment.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Usage`] for cells, heights and slopes that are not finite or not in order, and for a
-    /// level that does not exist; [`presight_model::ErrorKind::Invalid`] without polygons, for more than [`MAX_CELLS`]
-    /// cells, and for too many floors above one another.
+    /// [`presight_model::ErrorKind::Usage`] for cells, heights and slopes that are not finite or not in order, and for
+    /// a level that does not exist; [`presight_model::ErrorKind::Invalid`] without polygons, for more than
+    /// [`MAX_CELLS`] cells, and for too many floors above one another.
     pub fn of(environment: &Environment, options: &GridOptions) -> Result<Self> {
         options.check()?;
         let polygons = polygons(environment);

@@ -190,8 +190,8 @@ fn storeys_are_levels() {
     assert_eq!(counts(&environment, &plain.with_floor(Some(1.5)))[0], 0, "no level is there");
 }
 
-/// By hand: a crate of 0.98 x 0.98 m covers 10 x 10 cells, and a slab 40 x 30 of them. What hangs above the robot is not
-/// in its way.
+/// By hand: a crate of 0.98 x 0.98 m covers 10 x 10 cells, and a slab 40 x 30 of them. What hangs above the robot is
+/// not in its way.
 #[test]
 fn a_keepout_mask_is_of_what_is_uncertain() {
     let mut environment = empty();

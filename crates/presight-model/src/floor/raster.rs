@@ -79,8 +79,8 @@ impl GridFrame {
         }
     }
 
-    /// Calls `visit` with each cell that a convex polygon of the world touches, and with the lowest and highest point of
-    /// the polygon there, metres.
+    /// Calls `visit` with each cell that a convex polygon of the world touches, and with the lowest and highest point
+    /// of the polygon there, metres.
     pub fn each_touched(&self, polygon: &[DVec3], visit: impl FnMut(usize, f64, f64)) {
         self.each_cell(&self.local(polygon), &(0..self.height), visit);
     }

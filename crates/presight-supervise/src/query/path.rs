@@ -71,8 +71,8 @@ const STEPS: [At; 16] = [
 /// Finds a short path of a round robot from one point to another on the floor below them, around the objects of the
 /// model and around `seen` boxes (world, metres). Floor polygons must cover the whole robot: edges of the floor, and
 /// steps that are higher than the clearance, keep their distance as walls do. Ramps up to the slope of the options
-/// belong to the floor. The path is a straight line where that is free. Otherwise it is a shortest path on a grid, whose
-/// corners are pulled straight.
+/// belong to the floor. The path is a straight line where that is free. Otherwise it is a shortest path on a grid,
+/// whose corners are pulled straight.
 ///
 /// ```
 /// use presight::environment::Environment;
@@ -92,8 +92,8 @@ const STEPS: [At; 16] = [
 /// ```
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Usage`] for options and points out of range, without a floor below the start or the end,
-/// and for a start or an end at which the robot cannot stand, naming the obstacle.
+/// [`presight_model::ErrorKind::Usage`] for options and points out of range, without a floor below the start or the
+/// end, and for a start or an end at which the robot cannot stand, naming the obstacle.
 pub fn find_path(world: &World, from: DVec3, to: DVec3, seen: &[Aabb], options: &PathOptions) -> Result<FloorPath> {
     check(options, from, to)?;
     let floor = Floor::new(world, options, seen);
