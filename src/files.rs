@@ -21,9 +21,15 @@ pub use presight_files::prediction_json::{
     Header as PredictionHeader, to_string as prediction_to_json, write as write_prediction_json,
 };
 #[doc(inline)]
+pub use presight_read::beams::ouster::read as read_ouster;
+#[doc(inline)]
+pub use presight_read::beams::pattern::{RayPattern, read as read_pattern};
+#[doc(inline)]
+pub use presight_read::beams::velodyne::read as read_velodyne;
+#[doc(inline)]
 pub use presight_read::camera_info::read as read_camera_info;
 #[doc(inline)]
-pub use presight_read::cloud::{Cloud, read as read_cloud};
+pub use presight_read::cloud::{Cloud, PointTimes, read as read_cloud};
 #[doc(inline)]
 pub use presight_read::depth_folder::{DepthFolder, camera_json, image_name, poses_txt};
 #[doc(inline)]
@@ -40,7 +46,9 @@ pub use presight_read::log::bag::BagReport;
 #[doc(inline)]
 pub use presight_read::log::lines::{header as range_log_header, line as range_log_line};
 #[doc(inline)]
-pub use presight_read::log::{BagOptions, Frames as LogFrames, LogFrame, Observation, notice_of_readings, read_frame};
+pub use presight_read::log::{
+    BagOptions, Frames as LogFrames, LogFrame, Observation, Recorded, notice_of_readings, read_frame,
+};
 #[doc(inline)]
 pub use presight_read::pose_covariance::{file as pose_covariance_file, parse as parse_pose_covariance};
 #[doc(inline)]
@@ -57,4 +65,4 @@ pub use presight_read::tum::{
     stream_with_stamps as stream_tum_with_stamps,
 };
 #[doc(inline)]
-pub use presight_read::{Robot, files_named_by, load_rectified, load_robot, load_sensor, not_built};
+pub use presight_read::{Robot, SensorOptions, files_named_by, load_robot, load_sensor, load_sensor_with, not_built};

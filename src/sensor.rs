@@ -6,6 +6,6 @@
 pub use presight_model::poses::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
 #[doc(inline)]
 pub use presight_model::sensor::{
-    Angles, Camera, Distortion, Geometry, Mixture, Noise, PRESETS, Preset, RayTable, RayTimes, Scanner, SensorSpec,
-    StampAt,
+    Angles, BeamTable, Camera, Distortion, Geometry, Mixture, Noise, PRESETS, Preset, RayTable, RayTimes, Scanner,
+    SensorSpec, StampAt,
 };

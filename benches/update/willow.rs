@@ -465,7 +465,7 @@ pub fn write(folder: &Path, drives: &[Vec<(Frame, Pose)>]) -> std::io::Result<()
             poses += &format!("{time} {} {} {} {} {} {} {}\n", t.x, t.y, t.z, q.x, q.y, q.z, q.w);
             let odometry = frame.motion.as_ref().map(|motion| motion.previous_from_current);
             let range = frame.ranges().to_vec();
-            let frame = LogFrame { time, range, intensities: None, odometry, reference: Some(RobotPose::new(*pose)) };
+            let frame = LogFrame { odometry, reference: Some(RobotPose::new(*pose)), ..LogFrame::new(time, range) };
             text += &(lines::line(&frame).expect("a sound frame") + "\n");
         }
         std::fs::write(folder.join(format!("drive{}.jsonl", number + 1)), text)?;

@@ -4,6 +4,7 @@ use super::arrays::{is_aligned, outputs_of, shape_of};
 use super::errors::{Failed, apart, raised, room_for, usage};
 use super::predictor::{Predictor, RANGE};
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedArrayMethods};
+use presight::measured::ScanMotion;
 use presight::predict::{Batch, BatchItem, BatchRequest, Samples};
 use presight::{Images, Output, Outputs, Sensor, SensorPose, World};
 use pyo3::prelude::*;
@@ -171,6 +172,7 @@ impl<'py> Targets<'py> {
         world: &World,
         sensor: &Sensor,
         poses: Vec<SensorPose>,
+        motion: Option<ScanMotion>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let mut held = Vec::new();
         for output in self.outputs.iter() {
@@ -197,7 +199,8 @@ impl<'py> Targets<'py> {
             let remedy = "give arrays that share no memory";
             return Err(usage(py, "out", format!("{a:?} and {b:?} overlap"), remedy));
         }
-        let request = BatchRequest { images: Some(self.outputs.into()), ..BatchRequest::default() };
+        let motions = motion.into_iter().collect();
+        let request = BatchRequest { images: Some(self.outputs.into()), motions, ..BatchRequest::default() };
         let show = |index: usize, images: &Images| {
             for (output, places) in &places {
                 if let Some(image) = images.samples(*output) {
@@ -256,6 +259,6 @@ impl Chunks {
             return Ok(None);
         }
         let targets = Targets::new(py, part.len(), &self.sensor, self.outputs, None)?;
-        targets.fill(py, self.predictor.get(), &self.world, &self.sensor, part).map(Some)
+        targets.fill(py, self.predictor.get(), &self.world, &self.sensor, part, None).map(Some)
     }
 }

@@ -5,14 +5,14 @@ use super::errors::{Failed, apart, raised, usage, warn};
 use super::process::Shared;
 use super::scene::Scene;
 use super::sensor::{Sensor, sensor_of};
-use presight::files::{LogFrames, Observation};
+use presight::files::{BagOptions, LogFrame, LogFrames, Observation};
 use presight::localize::{
-    EstimateOptions, Estimator, Freedom, LocalizeOptions, Localizer as Ours, Search, SearchOptions,
+    EstimateOptions, Estimator, Freedom, LocalizeOptions, Localizer as Ours, Search, SearchOptions, Step as OurStep,
 };
-use presight::measured::{Frame as OurFrame, GreyImage, Measurement, Motion, OdometryNoise};
+use presight::measured::{Frame as OurFrame, OdometryNoise, ScanMotion};
 use presight::tools;
 use presight::verdict::{Verdict, Verdicts as OurVerdicts};
-use presight::{Backend, Error, Options, Pose, PoseEstimate, Predictor, RobotPose, Sensor as OurSensor};
+use presight::{Backend, Error, Options, Pose, PoseEstimate, Predictor, RobotPose, Sensor as OurSensor, Twist};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -21,12 +21,17 @@ use std::path::PathBuf;
 ///
 /// `ranges` are of (rows, columns), or (columns,) for one row: inf for nothing within reach, -inf for too near, NaN for no reading; 0
 /// and finite values outside of the sensor's limits count as missing readings, too. `odometry` is the robot's pose in its frame of the
-/// measurement before. `intensities` are 0 to 1.
+/// measurement before. `intensities` are 0 to 1. `times` are of the shape of `ranges`: seconds after `time` at which each ray was
+/// measured, those of the sensor by default. `twist` is the robot's velocity meanwhile, vx vy vz wx wy wz, metres and radians per second
+/// along and about its own axes.
 ///
 /// >>> import presight, numpy as np
 /// >>> frame = presight.Frame("laser-scanner", 0.0, np.full(361, 2.0), odometry=[0.1, 0, 0, 0, 0, 0])
-/// >>> frame.time, frame.ranges.shape
-/// (0.0, (1, 361))
+/// >>> frame.time, frame.ranges.shape, frame.times
+/// (0.0, (1, 361), None)
+/// >>> moving = presight.Frame("laser-scanner", 0.0, np.full(361, 2.0), times=np.linspace(0, 0.1, 361), twist=[1.5, 0, 0, 0, 0, 1])
+/// >>> float(moving.times[0, 360]), moving.twist.tolist()
+/// (0.10000000149011612, [1.5, 0.0, 0.0, 0.0, 0.0, 1.0])
 #[pyclass(frozen, module = "presight")]
 pub struct Frame(pub OurFrame);
 
@@ -36,10 +41,19 @@ fn poses_array<'py>(py: Python<'py>, poses: impl Iterator<Item = Option<Pose>>) 
     array(py, numbers, &[count, 7])
 }
 
+/// A twist of six numbers.
+fn twist_of(given: &Bound<'_, PyAny>) -> PyResult<Twist> {
+    let (shape, values) = numbers::<f64>(given, "twist")?;
+    let twist = <[f64; 6]>::try_from(values).ok().filter(|_| shape == [6]).map(Twist::from_array);
+    let wrong = || usage(given.py(), "twist", format!("the shape is {shape:?}"), "give vx, vy, vz, wx, wy, wz");
+    twist.ok_or_else(wrong)
+}
+
 #[pymethods]
 impl Frame {
     #[new]
-    #[pyo3(signature = (sensor, time, ranges, odometry = None, intensities = None))]
+    #[pyo3(signature = (sensor, time, ranges, odometry = None, intensities = None, times = None, twist = None))]
+    #[expect(clippy::too_many_arguments, reason = "what a line of a log holds")]
     fn new(
         py: Python<'_>,
         sensor: &Bound<'_, PyAny>,
@@ -47,6 +61,8 @@ impl Frame {
         ranges: &Bound<'_, PyAny>,
         odometry: Option<&Bound<'_, PyAny>>,
         intensities: Option<&Bound<'_, PyAny>>,
+        times: Option<&Bound<'_, PyAny>>,
+        twist: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let sensor = sensor_of(sensor)?;
         let (height, width) = (sensor.height() as usize, sensor.width() as usize);
@@ -60,16 +76,11 @@ impl Frame {
         };
         let ranges = image(ranges, "ranges")?;
         let intensities = intensities.map(|given| image(given, "intensities")).transpose()?;
+        let times = times.map(|given| image(given, "times")).transpose()?;
         let odometry = odometry.map(|given| pose_of(given, "odometry")).transpose()?;
-        apart(py, || {
-            let (width, height) = (sensor.width(), sensor.height());
-            let mut frame = OurFrame::new(time, sensor, Measurement::Range(ranges))?;
-            if let Some(values) = intensities {
-                frame = frame.with_intensities(GreyImage::new(width, height, values)?)?;
-            }
-            frame.motion = odometry.map(|motion| Motion::of_odometry(motion, &OdometryNoise::default()));
-            Ok(Self(frame))
-        })
+        let twist = twist.map(twist_of).transpose()?;
+        let line = LogFrame { intensities, times, twist, odometry, ..LogFrame::new(time, ranges) };
+        apart(py, || Ok(Self(line.into_frame(&sensor, &OdometryNoise::default())?)))
     }
 
     /// Seconds.
@@ -92,6 +103,26 @@ impl Frame {
         motion.map(|numbers| array(py, numbers, &[7])).transpose()
     }
 
+    /// Seconds after `time` at which each ray was measured: (rows, columns), float32, or None if all rays were measured at `time`.
+    #[getter]
+    fn times<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let sensor = self.0.sensor();
+        if sensor.spec().times.is_at_once() {
+            return Ok(None);
+        }
+        let (width, height) = (sensor.width(), sensor.height());
+        let pixels = (0..height).flat_map(|r| (0..width).map(move |c| (c, r)));
+        let seconds: Vec<f32> = pixels.map(|(c, r)| sensor.seconds_after_stamp(c, r) as f32).collect();
+        array(py, seconds, &[height as usize, width as usize]).map(Some)
+    }
+
+    /// The robot's velocity while the rays were measured, if it was constant: (6,) vx vy vz wx wy wz along and about its own axes, or None.
+    #[getter]
+    fn twist<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let Some(ScanMotion::Twist(twist)) = self.0.scan_motion() else { return Ok(None) };
+        array(py, twist.to_array().to_vec(), &[6]).map(Some)
+    }
+
     /// The sensor that measured.
     #[getter]
     fn sensor(&self) -> Sensor {
@@ -105,7 +136,7 @@ impl Frame {
 
 /// The frames of a log, in memory.
 ///
-/// A log is what `presight localize` takes: a file of ranges, a folder of depth images, a scan or a folder of scans. Its frames come by
+/// A log is what `presight localize` takes: a file of ranges, a folder of depth images, a scan or a folder of scans, or a ROS 2 bag. Its frames come by
 /// index or in a loop; columns are arrays.
 ///
 /// >>> import presight, tempfile, os, json
@@ -130,14 +161,27 @@ const LOOK_BYTES: u64 = 64 << 20;
 #[pymethods]
 impl Log {
     /// Reads a log. `sensor` supplies noise, limits and mount, and must have the log's image size. What the log leaves out is one warning.
+    /// For a ROS 2 bag, `topic` names the measured topic if there are several, `base` the robot's frame (by default `base_link`, else
+    /// `base_footprint`), `mount` the sensor's pose on the robot where no static transform tells it, and `reflector` the intensity of a
+    /// full reflector.
     ///
     /// Raises `Error` naming file and frame, and `MemoryError` for a log that does not fit.
     #[staticmethod]
-    #[pyo3(signature = (path, sensor = None))]
-    fn open(py: Python<'_>, path: PathBuf, sensor: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+    #[pyo3(signature = (path, sensor = None, topic = None, base = None, mount = None, reflector = None))]
+    fn open(
+        py: Python<'_>,
+        path: PathBuf,
+        sensor: Option<&Bound<'_, PyAny>>,
+        topic: Option<String>,
+        base: Option<String>,
+        mount: Option<&Bound<'_, PyAny>>,
+        reflector: Option<f32>,
+    ) -> PyResult<Self> {
         let sensor = sensor.map(sensor_of).transpose()?;
+        let mount = mount.map(|given| pose_of(given, "mount")).transpose()?;
+        let bag = BagOptions::default().with_topic(topic).with_base(base).with_mount(mount).with_reflector(reflector);
         let log = apart(py, || {
-            let mut log = LogFrames::open(&path, sensor.as_ref(), &OdometryNoise::default())?;
+            let mut log = LogFrames::open_with(&path, sensor.as_ref(), &OdometryNoise::default(), &bag)?;
             let (mut frames, mut bytes) = (Vec::new(), 0);
             while let Some(frame) = log.next().transpose()? {
                 bytes += 8 * frame.frame.ranges().len() as u64;
@@ -259,48 +303,73 @@ impl Verdicts {
 
 /// Where the robot is after a frame.
 #[pyclass(frozen, module = "presight")]
-pub struct Step {
-    pose: PoseEstimate,
-    state: String,
-    reason: String,
-    time: f64,
-}
+pub struct Step(pub OurStep);
 
 #[pymethods]
 impl Step {
     /// The robot's pose in the world: (7,) x y z qx qy qz qw.
     #[getter]
     fn pose<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        array(py, pose_numbers(&self.pose.world_from_robot).to_vec(), &[7])
+        array(py, pose_numbers(&self.0.pose.world_from_robot).to_vec(), &[7])
     }
 
     /// Its covariance: (6, 6), x y z and rotations about x y z, along the world's axes, metres and radians.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        array(py, self.pose.covariance.as_rows().as_flattened().to_vec(), &[6, 6])
+        array(py, self.0.pose.covariance.as_rows().as_flattened().to_vec(), &[6, 6])
     }
 
     /// The name of the localizer's state, such as "tracking". The guide on localization says in which states the pose is known.
     #[getter]
-    fn state(&self) -> &str {
-        &self.state
+    fn state(&self) -> &'static str {
+        self.0.phase.name()
     }
 
     /// Why, with numbers.
     #[getter]
     fn reason(&self) -> &str {
-        &self.reason
+        &self.0.reason
+    }
+
+    /// True if one pose is known: it was given at the start, or it was found.
+    #[getter]
+    fn is_known(&self) -> bool {
+        self.0.is_known()
+    }
+
+    /// The verdict on each pixel of the frame, or None if nothing was compared.
+    #[getter]
+    fn verdicts(&self) -> Option<Verdicts> {
+        self.0.estimate.verdicts.first().cloned().map(Verdicts)
+    }
+
+    /// Fraction of the measured points that the model explains.
+    #[getter]
+    fn explained(&self) -> f64 {
+        self.0.estimate.explained
+    }
+
+    /// Directions that the measurement does not determine, such as "x" or "x+yaw".
+    #[getter]
+    fn weak(&self) -> Vec<String> {
+        self.0.estimate.weak.iter().map(|weak| weak.name.clone()).collect()
     }
 
     /// The frame's time, seconds.
     #[getter]
     fn time(&self) -> f64 {
-        self.time
+        self.0.stamp
+    }
+
+    /// A frame of this step with the motion of the robot that was found for its scan, if the scan takes time: `Predictor.verdicts`
+    /// then compares what the localizer compared.
+    fn moving(&self, frame: &Bound<'_, Frame>) -> Frame {
+        Frame(self.0.moving(&frame.get().0).into_owned())
     }
 
     fn __repr__(&self) -> String {
-        let t = self.pose.world_from_robot.translation;
-        format!("<presight.Step {} at {:.3}, {:.3}, {:.3}>", self.state, t.x, t.y, t.z)
+        let t = self.0.pose.world_from_robot.translation;
+        format!("<presight.Step {} at {:.3}, {:.3}, {:.3}>", self.state(), t.x, t.y, t.z)
     }
 }
 
@@ -407,10 +476,18 @@ impl Localizer {
                         None => follower.insert(self.start.localizer(&self.world, frame.sensor(), self.threads)?),
                     };
                     let step = localizer.step(&self.world, frame)?;
-                    let (state, time) = (step.phase.name().to_owned(), step.stamp);
-                    Ok::<_, Failed>(Step { pose: step.pose, state, reason: step.reason, time })
+                    Ok::<_, Failed>(Step(step))
                 },
             )
+        })
+    }
+
+    /// What limits the poses so far, a line each.
+    #[getter]
+    fn warnings(&self, py: Python<'_>) -> PyResult<Vec<String>> {
+        apart(py, || {
+            let lines = |follower: &mut Option<Ours>| Ok::<_, Failed>(follower.as_ref().map(Ours::warnings));
+            Ok::<_, Failed>(self.follower.with(|| Ok(None), lines)?.unwrap_or_default())
         })
     }
 

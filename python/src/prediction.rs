@@ -72,7 +72,7 @@ impl Prediction {
     }
 
     /// The prediction with its images as the arrays now are.
-    fn whole(&self, py: Python<'_>, wanted: impl Fn(Output) -> bool) -> PyResult<Ours> {
+    pub fn whole(&self, py: Python<'_>, wanted: impl Fn(Output) -> bool) -> PyResult<Ours> {
         let (width, height) = self.size;
         let mut images = Images { width, height, ..Images::default() };
         for (output, array) in self.arrays.iter().filter(|(output, _)| wanted(*output)) {
@@ -142,8 +142,11 @@ macro_rules! image_getters {
             ///
             /// >>> out.points("world").shape
             /// (16, 1800, 3)
-            #[pyo3(signature = (frame = "sensor"))]
-            fn points<'py>(&self, py: Python<'py>, frame: &str) -> PyResult<Bound<'py, PyAny>> {
+            ///
+            /// Points of a moving scan in the sensor's frame are as sensed, each at the time of its ray, or with `deskew` all in the
+            /// frame at this time, seconds after the stamp.
+            #[pyo3(signature = (frame = "sensor", deskew = None))]
+            fn points<'py>(&self, py: Python<'py>, frame: &str, deskew: Option<f64>) -> PyResult<Bound<'py, PyAny>> {
                 let frame = match frame {
                     "sensor" => PointsFrame::Sensor,
                     "world" => PointsFrame::World,
@@ -152,7 +155,8 @@ macro_rules! image_getters {
                 let whole = self.whole(py, |output| output == Output::Range)?;
                 let (width, height) = self.size;
                 let points = apart(py, || {
-                    let cloud = PointCloud::new(&whole.images, &whole.sensor, &whole.pose, frame)?;
+                    let motion = whole.request.motion.as_ref();
+                    let cloud = PointCloud::of_scan(&whole.images, &whole.sensor, &whole.pose, frame, motion, deskew)?;
                     Ok(cloud.positions().iter().flat_map(|p| p.to_array()).collect::<Vec<f64>>())
                 })?;
                 array(py, points, &[height as usize, width as usize, 3])

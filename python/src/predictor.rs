@@ -10,11 +10,11 @@ use super::scene::{Scene, Seen};
 use super::sensor::sensor_of;
 use presight::features::{BoxOptions, FeatureOptions, FeatureSource, Hidden};
 use presight::files::{self, LayerFile};
-use presight::measured::{Frame as OurFrame, Measurement};
+use presight::measured::{Frame as OurFrame, Measurement, ScanMotion};
 use presight::predict::{BatchRequest, Headings, PoseCell, RangeLikelihood};
 use presight::{
     Backend, Error, Output, Outputs, PoseEstimate, Predictor as Ours, Request, Result, RobotPose, SceneFeatures,
-    Sensor, SensorPose, World,
+    Sensor, SensorPose, Twist, World,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -118,6 +118,17 @@ fn without_displays<T>(py: Python<'_>, work: impl FnOnce() -> PyResult<T>) -> Py
     done
 }
 
+/// A twist of (6,) metres and degrees per second, robot axes.
+fn motion_of(twist: &Bound<'_, PyAny>) -> PyResult<ScanMotion> {
+    let given = numbers::<f64>(twist, "twist")?.1;
+    let [vx, vy, vz, wx, wy, wz] = given[..] else {
+        let remedy = "give (6,) vx vy vz wx wy wz, metres and degrees per second";
+        return Err(usage(twist.py(), "twist", format!("it has {} numbers", given.len()), remedy));
+    };
+    let [wx, wy, wz] = [wx, wy, wz].map(f64::to_radians);
+    Ok(ScanMotion::Twist(Twist::from_array([vx, vy, vz, wx, wy, wz])))
+}
+
 /// What each batch is given: a version of the world, a sensor, and its poses there.
 struct Given {
     world: World,
@@ -177,7 +188,8 @@ impl Predictor {
     /// the axes of the scene's file. `outputs` names the images (default: range, polygon_id, object_id, cos_incidence; also depth_z, echo,
     /// normal, feature_id). `layers` are feature layers on top of the scene's own, which `[]` takes alone; their regions of interest hold
     /// the features with `confidence`, where `pose_cov` is the pose's uncertainty: (6,) standard deviations in metres and degrees, or
-    /// (6, 6) in metres and radians. `deadline_ms` gives up what does not fit.
+    /// (6, 6) in metres and radians. `deadline_ms` gives up what does not fit. `twist` is how the robot moves while the sensor measures
+    /// its rays: (6,) metres and degrees per second in the robot's axes; `pose` is then the one at the scan's stamp.
     ///
     /// Raises `Error` for invalid arguments, `DeviceError`, `SystemFault`, and `DeadlineError` if nothing fits.
     ///
@@ -186,7 +198,7 @@ impl Predictor {
     /// >>> room.objects[out.object_id[0, 180] - 1].startswith("room/")
     /// True
     #[pyo3(signature = (scene, sensor, pose, outputs = None, layers = None, pose_cov = None, confidence = 0.99, deadline_ms = None,
-        pose_frame = "body", pose_of = "sensor", world_frame = "z-up"))]
+        pose_frame = "body", pose_of = "sensor", world_frame = "z-up", twist = None))]
     #[expect(clippy::too_many_arguments, reason = "the flags of the command")]
     fn predict(
         &self,
@@ -202,6 +214,7 @@ impl Predictor {
         pose_frame: &str,
         pose_of: &str,
         world_frame: &str,
+        twist: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Prediction> {
         let conventions = Conventions::new(py, pose_frame, pose_of, world_frame)?;
         let (sensor, outputs) = (sensor_of(sensor)?, outputs_of(outputs)?);
@@ -215,7 +228,8 @@ impl Predictor {
             return Err(usage(py, "pose_cov", "needs features, and none are requested", "give layers="));
         }
         let covariance = covariance_of(pose_cov)?;
-        let request = in_time(py, Request::of(outputs), deadline_ms)?;
+        let mut request = in_time(py, Request::of(outputs), deadline_ms)?;
+        request.motion = twist.map(motion_of).transpose()?;
         let scene = scene.get();
         let done = apart(py, || {
             let seen = scene.seen();
@@ -258,13 +272,14 @@ impl Predictor {
     /// Predicts at many poses, and gives a dict of an array of (poses, rows, columns) for each output; normals have 3 more.
     ///
     /// `poses` is as for `predict`, with one axis in front. `out` is a dict of arrays to fill. The images have the bits of single
-    /// predictions. Ctrl-C ends it within half a second. Raises `MemoryError` before arrays that do not fit are begun.
+    /// predictions. Ctrl-C ends it within half a second. Raises `MemoryError` before arrays that do not fit are begun. `twist` is as for
+    /// `predict`, the same at each pose.
     ///
     /// >>> poses = [[x, 1.5, 0.5, 0, 0, 0] for x in (0.9, 1.0, 1.1)]
     /// >>> predictor.predict_many(room, "laser-scanner", poses)["range"].shape
     /// (3, 1, 361)
     #[pyo3(signature = (scene, sensor, poses, outputs = None, out = None, pose_frame = "body", pose_of = "sensor",
-        world_frame = "z-up"))]
+        world_frame = "z-up", twist = None))]
     #[expect(clippy::too_many_arguments, reason = "the flags of the command")]
     fn predict_many<'py>(
         &self,
@@ -277,11 +292,13 @@ impl Predictor {
         pose_frame: &str,
         pose_of: &str,
         world_frame: &str,
+        twist: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let conventions = Conventions::new(py, pose_frame, pose_of, world_frame)?;
         let outputs = many::outputs(outputs)?;
+        let motion = twist.map(motion_of).transpose()?;
         let Given { world, sensor, poses } = Given::new(scene, sensor, poses, conventions)?;
-        Targets::new(py, poses.len(), &sensor, outputs, out)?.fill(py, self, &world, &sensor, poses)
+        Targets::new(py, poses.len(), &sensor, outputs, out)?.fill(py, self, &world, &sensor, poses, motion)
     }
 
     /// As `predict_many`, in bounded memory: an iterator of dicts for `size` poses each (default: images of 64 MB).
@@ -315,7 +332,8 @@ impl Predictor {
     /// The log-likelihood of measured ranges at each pose: (poses,), float64, or with `headings` at this number of headings of each place:
     /// (poses, headings), float32, where heading k turns the sensor's x axis 360 k / headings degrees to the left.
     ///
-    /// `sensed` is a `Frame`, or ranges of (rows, columns) in metres: inf for nothing, -inf for too near, NaN for no reading. `cell` is
+    /// `sensed` is a `Frame`, or ranges of (rows, columns) in metres: inf for nothing, -inf for too near, NaN for no reading. Poses are
+    /// those at the frame's time; a scan that takes time is compared in its middle. `cell` is
     /// the size of the cell that each pose stands for, in metres and degrees (None: 0, with headings the step between them). The
     /// sensor needs `range_sigma` and a finite `range_max`. Only differences are meaningful.
     ///
@@ -345,17 +363,24 @@ impl Predictor {
             return Err(usage(py, "headings", what, "give poses of the sensor"));
         }
         let Given { world, sensor, poses } = Given::new(scene, sensor, poses, conventions)?;
-        let ranges = match sensed.cast::<Frame>() {
-            Ok(frame) => frame.get().0.ranges().to_vec(),
-            Err(_) => numbers::<f32>(sensed, "sensed")?.1,
+        let moving = sensed.cast::<Frame>().ok().map(|frame| frame.get().0.clone());
+        let ranges = match &moving {
+            Some(frame) => frame.ranges().to_vec(),
+            None => numbers::<f32>(sensed, "sensed")?.1,
         };
         let step = headings.map_or(0.0, |n| 360.0 / f64::from(n.max(1)));
         let cell = PoseCell { side: cell.0, turn: cell.1.unwrap_or(step).to_radians() };
         room_for(Some(4 * poses.len() as u64 * u64::from(headings.unwrap_or(2))))?;
         let count = poses.len();
         let (single, by_heading) = apart(py, || {
-            let frame = OurFrame::new(0.0, sensor.clone(), Measurement::Range(ranges)).map_err(|e| e.at("sensed"))?;
-            let likelihood = Some(RangeLikelihood::new(&frame, cell).map_err(|e| e.at("sensed"))?);
+            let mut frame = OurFrame::new(0.0, sensor, Measurement::Range(ranges)).map_err(|e| e.at("sensed"))?;
+            if let Some(motion) = moving.as_ref().and_then(|frame| frame.scan_motion()) {
+                frame = frame.with_scan_motion(motion.clone());
+            }
+            let moment = frame.at_one_moment().map_err(|e| e.at("sensed"))?;
+            let (frame, sensor) = (&*moment.frame, moment.frame.sensor().clone());
+            let poses: Vec<SensorPose> = poses.iter().map(|pose| moment.sensor(pose)).collect();
+            let likelihood = Some(RangeLikelihood::new(frame, cell).map_err(|e| e.at("sensed"))?);
             let headings = headings.map(|count| Headings::new(&sensor, count)).transpose()?;
             let request = BatchRequest { likelihood, headings, ..BatchRequest::default() };
             let (mut single, mut by_heading) = (Vec::new(), Vec::new());
@@ -373,8 +398,9 @@ impl Predictor {
         }
     }
 
-    /// What each measured pixel says of the model: see `Verdicts`. `pose` is the robot's and `pose_cov` its uncertainty, as for
-    /// `predict`; the mount of the frame's sensor leads from the robot to the sensor.
+    /// What each measured pixel says of the model: see `Verdicts`. `pose` is the robot's at the frame's time and `pose_cov` its
+    /// uncertainty, as for `predict`; the mount of the frame's sensor leads from the robot to the sensor. A scan that takes time is
+    /// compared in its middle.
     ///
     /// >>> frame = presight.Frame(scanner, 0.0, sensed)
     /// >>> verdicts = predictor.verdicts(room, frame, poses[1], pose_cov=[0.001, 0.001, 0.001, 0.05, 0.05, 0.05])

@@ -3,15 +3,15 @@
 use super::arrays::{array, numbers, pose_numbers, pose_of};
 use super::errors::{Failed, apart, raised, usage, warn};
 use glam::{DQuat, DVec3};
-use presight::files::{self, load_rectified, load_sensor};
-use presight::sensor::{Angles, Camera, Distortion, Geometry, PRESETS, RayTable, Scanner, SensorSpec};
+use presight::files::{self, SensorOptions, load_sensor_with};
+use presight::sensor::{Angles, Camera, Distortion, Geometry, PRESETS, RayTable, RayTimes, Scanner, SensorSpec};
 use presight::tools;
 use presight::{Error, Sensor as Ours};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::path::PathBuf;
 
-/// A sensor: a camera, a scanner, or any rays from one centre.
+/// A sensor: a camera, a scanner, or any rays.
 ///
 /// `Sensor.load` takes presets and files; `Sensor.camera`, `Sensor.scanner` and `Sensor.from_rays` make sensors of numbers. Sensors
 /// do not change; `replace` makes another one. They pickle by content.
@@ -30,12 +30,11 @@ pub fn sensor_of(given: &Bound<'_, PyAny>) -> PyResult<Ours> {
     }
     let remedy = "give a Sensor, or the name of a preset or file";
     let name: PathBuf = given.extract().map_err(|_| usage(given.py(), "sensor", "is neither", remedy))?;
-    load(given.py(), &name.to_string_lossy(), false)
+    load(given.py(), &name.to_string_lossy(), SensorOptions::default())
 }
 
-fn load(py: Python<'_>, name: &str, rectified: bool) -> PyResult<Ours> {
-    let load = || -> Result<_, Failed> { Ok(if rectified { load_rectified(name) } else { load_sensor(name) }?) };
-    let (sensor, notices) = apart(py, load)?;
+fn load(py: Python<'_>, name: &str, options: SensorOptions) -> PyResult<Ours> {
+    let (sensor, notices) = apart(py, || -> Result<_, Failed> { Ok(load_sensor_with(name, options)?) })?;
     warn(py, &notices)?;
     Ok(sensor)
 }
@@ -79,18 +78,40 @@ fn angles(given: &Bound<'_, PyAny>, argument: &str) -> PyResult<Angles> {
     }
 }
 
+impl Sensor {
+    /// Three numbers for each pixel, by column and row.
+    fn of_pixels<'py>(
+        &self,
+        py: Python<'py>,
+        value: impl Fn(u32, u32) -> [f64; 3] + Send + Sync,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let (height, width) = (self.0.height(), self.0.width());
+        let values = apart(py, || {
+            let mut values = tools::reserved(3 * width as usize * height as usize)?;
+            for row in 0..height {
+                values.extend((0..width).flat_map(|column| value(column, row)));
+            }
+            Ok(values)
+        })?;
+        array(py, values, &[height as usize, width as usize, 3])
+    }
+}
+
 #[pymethods]
 impl Sensor {
-    /// Loads a preset or a sensor file: TOML, or the YAML of a ROS camera_info or of Kalibr (`chain.yaml:cam1`).
+    /// Loads a preset or a sensor file: TOML, the YAML of a ROS camera_info, of Kalibr (`chain.yaml:cam1`) or of a Velodyne, the
+    /// metadata of an Ouster (JSON), or a pattern (`pattern.csv`, or its part `pattern.csv:0.2..0.3`, seconds).
     ///
-    /// `rectified` takes the rectified image of a camera_info (P and R). Raises `Error` for an unknown name or an invalid file.
+    /// `rectified` takes the rectified image of a camera_info (P and R), and `destagger` the destaggered image of a lidar's beam table.
+    /// Raises `Error` for an unknown name or an invalid file.
     ///
     /// >>> presight.Sensor.load("realsense-d435").shape
     /// (720, 1280)
     #[staticmethod]
-    #[pyo3(signature = (name, rectified = false))]
-    fn load(py: Python<'_>, name: PathBuf, rectified: bool) -> PyResult<Self> {
-        load(py, &name.to_string_lossy(), rectified).map(Self)
+    #[pyo3(signature = (name, rectified = false, destagger = false))]
+    fn load(py: Python<'_>, name: PathBuf, rectified: bool, destagger: bool) -> PyResult<Self> {
+        let options = SensorOptions::default().with_rectified(rectified).with_destagger(destagger);
+        load(py, &name.to_string_lossy(), options).map(Self)
     }
 
     /// The names of the presets.
@@ -163,14 +184,22 @@ impl Sensor {
         made(py, SensorSpec::new("scanner", "laser", Geometry::Scanner(scanner)), more)
     }
 
-    /// Makes a sensor of any rays from one centre: (rows, columns, 3) or (n, 3), body axes (x forward, y left, z up), of any length; NaN
-    /// where a pixel has no ray. Further properties as for `camera`; `sensor_class` is "laser".
+    /// Makes a sensor of any rays: (rows, columns, 3) or (n, 3), body axes (x forward, y left, z up), of any length; NaN where a pixel
+    /// has no ray. `origins` of the same shape are the points from which ranges are measured, metres (default: the sensor's origin), and
+    /// `times` of the same shape without its last axis are seconds after the stamp. Further properties as for `camera`; `sensor_class`
+    /// is "laser".
     ///
-    /// >>> presight.Sensor.from_rays([[1, 0, 0], [1, 1, 0]]).shape
-    /// (1, 2)
+    /// >>> presight.Sensor.from_rays([[1, 0, 0], [1, 1, 0]], times=[0, 0.1]).times().tolist()
+    /// [[0.0, 0.10000000149011612]]
     #[staticmethod]
-    #[pyo3(signature = (directions, **more))]
-    fn from_rays(py: Python<'_>, directions: &Bound<'_, PyAny>, more: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+    #[pyo3(signature = (directions, origins = None, times = None, **more))]
+    fn from_rays(
+        py: Python<'_>,
+        directions: &Bound<'_, PyAny>,
+        origins: Option<&Bound<'_, PyAny>>,
+        times: Option<&Bound<'_, PyAny>>,
+        more: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
         let (shape, values) = numbers::<f64>(directions, "directions")?;
         let (rows, columns) = match shape[..] {
             [rows, columns, 3] => (rows, columns),
@@ -183,8 +212,25 @@ impl Sensor {
         let rays = values.as_chunks::<3>().0.iter().map(|ray| DVec3::from_array(*ray)).collect();
         let sides = u32::try_from(rows).and_then(|rows| Ok((u32::try_from(columns)?, rows)));
         let (columns, rows) = sides.map_err(|_| usage(py, "directions", "too many rays", "give fewer"))?;
-        let table = RayTable::new(columns, rows, rays).map_err(|e| raised(py, &e.at("directions")))?;
-        made(py, SensorSpec::new("rays", "laser", Geometry::Rays(table)), more)
+        let mut table = RayTable::new(columns, rows, rays).map_err(|e| raised(py, &e.at("directions")))?;
+        if let Some(given) = origins {
+            let (other, values) = numbers::<f64>(given, "origins")?;
+            if other != shape {
+                return Err(usage(py, "origins", format!("shape {other:?}"), format!("give {shape:?}, as directions")));
+            }
+            let points = values.as_chunks::<3>().0.iter().map(|point| DVec3::from_array(*point)).collect();
+            table = table.with_origins(points).map_err(|e| raised(py, &e.at("origins")))?;
+        }
+        let mut spec = SensorSpec::new("rays", "laser", Geometry::Rays(table));
+        if let Some(given) = times {
+            let (other, values) = numbers::<f32>(given, "times")?;
+            let wanted = &shape[..shape.len() - 1];
+            if other != wanted {
+                return Err(usage(py, "times", format!("shape {other:?}"), format!("give {wanted:?}, one for each ray")));
+            }
+            spec = spec.with_times(RayTimes::Listed(values.into()));
+        }
+        made(py, spec, more)
     }
 
     /// Reads the text of a sensor file, as `toml` writes it.
@@ -211,22 +257,38 @@ impl Sensor {
     }
 
     /// The unit rays of the pixels: (rows, columns, 3), float64, body axes (x forward, y left, z up), NaN without a ray. A point is its
-    /// ray times its range.
+    /// origin (`origins`) plus its ray times its range.
     ///
     /// >>> presight.Sensor.load("laser-scanner").rays()[0, 180].tolist()
     /// [1.0, 0.0, 0.0]
     fn rays<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let body_from_image = self.0.body_from_image();
+        let ray = |column, row| self.0.ray(column, row).map_or(DVec3::NAN, |ray| body_from_image * ray).to_array();
+        self.of_pixels(py, ray)
+    }
+
+    /// Where the range of each pixel is measured from: (rows, columns, 3), float64, metres from the sensor's origin, body axes.
+    ///
+    /// >>> float(presight.Sensor.load("vlp-16-real").origins()[0, 0, 2])
+    /// -0.0112
+    fn origins<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.of_pixels(py, |column, row| self.0.origin(column, row).to_array())
+    }
+
+    /// When each pixel is measured: (rows, columns), float64, seconds after the stamp of a frame.
+    ///
+    /// >>> presight.Sensor.load("laser-scanner").times().max()
+    /// 0.0
+    fn times<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let (height, width) = (self.0.height(), self.0.width());
-        let rays = apart(py, || {
-            let body_from_image = self.0.body_from_image();
-            let mut rays = tools::reserved(3 * width as usize * height as usize)?;
-            for (row, column) in (0..height).flat_map(|row| (0..width).map(move |column| (row, column))) {
-                let ray = self.0.ray(column, row).map_or(DVec3::NAN, |ray| body_from_image * ray);
-                rays.extend(ray.to_array());
+        let times = apart(py, || {
+            let mut times = tools::reserved(width as usize * height as usize)?;
+            for row in 0..height {
+                times.extend((0..width).map(|column| self.0.seconds_after_stamp(column, row)));
             }
-            Ok(rays)
+            Ok(times)
         })?;
-        array(py, rays, &[height as usize, width as usize, 3])
+        array(py, times, &[height as usize, width as usize])
     }
 
     /// Its name.

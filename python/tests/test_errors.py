@@ -133,6 +133,10 @@ def test_sensors():
         (lambda: presight.Sensor.from_rays(np.full((2, 3), NAN)), "no ray"),
         (lambda: presight.Sensor.from_rays([[0, 0, 0]]), "direction 0"),
         (lambda: presight.Sensor.from_rays([1, 0, 0]), "(n, 3)"),
+        (lambda: presight.Sensor.from_rays([[1, 0, 0]], origins=[[0, 0, 3]]), "metres"),
+        (lambda: presight.Sensor.from_rays([[1, 0, 0]], origins=[0, 0, 1]), "as directions"),
+        (lambda: presight.Sensor.from_rays([[1, 0, 0]], times=[0, 1]), "one for each ray"),
+        (lambda: presight.Sensor.load("vlp-16-real", destagger=True), "no stagger"),
         (lambda: presight.Sensor.parse("kind = 7"), ""),
     ]:
         with pytest.raises(presight.Error) as raised:
@@ -143,6 +147,10 @@ def test_sensors():
 def test_measurements(room, cpu, tmp_path):
     for call in (lambda: presight.Frame("laser-scanner", 0.0, np.zeros(360)), lambda: presight.Frame("laser-scanner", NAN, np.ones(361)),
                  lambda: presight.Frame("laser-scanner", 0.0, np.ones(361), intensities=np.full(361, 2.0)),
+                 lambda: presight.Frame("laser-scanner", 0.0, np.ones(361), times=np.arange(361) * 1e6),
+                 lambda: presight.Frame("laser-scanner", 0.0, np.ones(361), times=np.zeros(360)),
+                 lambda: presight.Frame("laser-scanner", 0.0, np.ones(361), twist=[1, 0, 0]),
+                 lambda: presight.Frame("laser-scanner", 0.0, np.ones(361), twist=[NAN, 0, 0, 0, 0, 0]),
                  lambda: presight.Log.open(tmp_path), lambda: presight.Log.open(tmp_path / "no.json"),
                  lambda: cpu.likelihood(room, "laser-scanner", np.ones(360), [POSE]),
                  lambda: cpu.likelihood(room, "laser-scanner", np.full(361, NAN), [POSE]),

@@ -60,6 +60,23 @@ def test_the_localizer_follows_and_says_why(room, cpu):
         localizer.step(presight.Frame(sensor, 0.1, np.ones(361)))
 
 
+def test_frames_say_when_their_rays_were_measured(tmp_path):
+    times = np.linspace(-0.1, 0, 361)
+    frame = presight.Frame("laser-scanner", 0.0, np.ones(361), times=times, twist=[1.5, 0, 0, 0, 0, 1])
+    assert frame.times.shape == (1, 361) and np.allclose(frame.times[0], times) and frame.twist.tolist() == [1.5, 0, 0, 0, 0, 1]
+    still = presight.Frame("laser-scanner", 0.0, np.ones(361))
+    assert still.times is None and still.twist is None
+    header = {"format": 1, "kind": "range-log", "sensor": presight.Sensor.scanner([0, 1]).toml()}
+    # By hand: 0.2 m in 0.1 s.
+    lines = [header, {"t": 0.0, "range": [2, 2], "times": [0, 0.05]},
+             {"t": 0.1, "range": [2, 2], "times": [0, 0.05], "odometry": [0.2, 0, 0, 0, 0, 0]}]
+    path = tmp_path / "run.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.warns(UserWarning, match="no pose lies beyond"):
+        log = presight.Log.open(path)
+    assert all(np.allclose(frame.twist, [2, 0, 0, 0, 0, 0]) and np.allclose(frame.times, [[0, 0.05]]) for frame in log)
+
+
 def test_an_unknown_start_needs_a_level_scanner(room, cpu):
     camera = presight.Sensor.camera([50, 50, 32, 24], (64, 48), range_max=10, range_sigma=0.01)
     frame = presight.Frame(camera, 0.0, cpu.predict(room, camera, POSE).range)

@@ -1,7 +1,10 @@
-//! Scene files and scripts: their content, every kind of damage, and one-sided polygons through every input.
+//! Scene files, scripts and beam tables: their content, every kind of damage, and one-sided polygons through every input.
 
+mod beams;
 mod build;
 mod import;
 mod mirrored;
+#[cfg(feature = "ros")]
+mod moving_clouds;
 #[cfg(feature = "script")]
 mod script;

@@ -11,8 +11,10 @@ mod generate;
 use check::{check_world, near_unit, sound_sensor};
 use presight_cli::pose::parse_pose;
 use presight_files::{corridor, exr};
-use presight_model::geometry::Pose;
-use presight_read::{camera_info, layer, log, materials, pose_covariance, sensor_toml, tum};
+use presight_model::geometry::{Pose, Twist};
+use presight_model::measured::ScanMotion;
+use presight_model::sensor::SensorSpec;
+use presight_read::{beams, camera_info, layer, log, materials, pose_covariance, sensor_toml, tum};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
@@ -136,6 +138,37 @@ pub fn camera_info(bytes: &[u8]) -> bool {
     let read = |rectified| camera_info::parse(&text(bytes), "fuzz", None, rectified);
     [false, true].map(read).into_iter().filter(|read| read.as_ref().is_ok_and(|(spec, _)| sound_sensor(spec))).count()
         > 0
+}
+
+/// Beam tables: small ones are predicted, and larger ones only read back from what they are written as.
+fn sound_beams(spec: &SensorSpec) -> bool {
+    let (width, height) = spec.geometry.size();
+    if u64::from(width) * u64::from(height) < 2048 {
+        return sound_sensor(spec);
+    }
+    let sound = presight::Sensor::new(spec.clone()).is_ok();
+    assert!(
+        !sound || sensor_toml::parse(&sensor_toml::to_string(spec), "other", None).is_ok_and(|again| again == *spec)
+    );
+    sound
+}
+
+/// Metadata of Ouster sensors.
+pub fn ouster(bytes: &[u8]) -> bool {
+    beams::ouster::parse(&text(bytes), "fuzz").is_ok_and(|(spec, _)| sound_beams(&spec))
+}
+
+/// Calibrations of Velodyne sensors.
+pub fn velodyne(bytes: &[u8]) -> bool {
+    beams::velodyne::parse(&text(bytes), "fuzz").is_ok_and(|(spec, _)| sound_beams(&spec))
+}
+
+/// Patterns of rays, whole and in part.
+pub fn pattern(bytes: &[u8]) -> bool {
+    let Ok(pattern) = beams::pattern::parse(&mut &*bytes) else { return false };
+    let part = pattern.sensor("fuzz", 1e9, Some(0.3 * pattern.period()));
+    assert!(part.is_err() || part.is_ok_and(|spec| spec.geometry.size().1 == 1));
+    pattern.sensor("fuzz", 0.0, None).is_ok_and(|spec| sound_beams(&spec))
 }
 
 /// Layer files: placed in a scene, predicted with regions of interest, and written again.
@@ -299,6 +332,87 @@ pub fn log(bytes: &[u8]) -> bool {
         // NaN does not equal itself, but its text does.
         assert_eq!(format!("{read:?}"), format!("{frames:?}"));
         sound && !read.is_empty()
+    })
+}
+
+/// Messages of ROS 2, the first byte chooses the type: an accepted message is the same after it has been written, and
+/// transforms and measurements leave a running robot's frames sound.
+#[cfg(feature = "ros")]
+pub fn messages(bytes: &[u8]) -> bool {
+    use presight_ros::message::{
+        CameraInfo, CompressedImage, DiagnosticArray, Image, LaserScan, MarkerArray, Message, Odometry, PointCloud2,
+        PoseWithCovarianceStamped, TFMessage,
+    };
+    let Some((kind, data)) = bytes.split_first() else { return false };
+    macro_rules! again {
+        ($message:ident) => {
+            $message::decode(data).ok().map(|message| {
+                let written = message.encode();
+                // NaN does not equal itself, but its text does.
+                let read = format!("{:?}", $message::decode(&written).expect("a written message can be read"));
+                assert_eq!(read, format!("{message:?}"));
+                $message::TYPE
+            })
+        };
+    }
+    let found = match kind % 10 {
+        0 => again!(LaserScan),
+        1 => again!(PointCloud2),
+        2 => again!(Image),
+        3 => again!(CompressedImage),
+        4 => again!(CameraInfo),
+        5 => again!(TFMessage),
+        6 => again!(Odometry),
+        7 => again!(PoseWithCovarianceStamped),
+        8 => again!(DiagnosticArray),
+        _ => again!(MarkerArray),
+    };
+    let Some(message_type) = found else { return false };
+    let mut live = log::bag::LiveFrames::new(log::BagOptions::default(), None, Default::default());
+    for (name, message_type) in [("/tf_static", message_type), ("/tf", message_type), ("/scan", message_type)] {
+        let topic =
+            presight_ros::Topic { name: name.into(), message_type: message_type.into(), encoding: "cdr".into() };
+        let record = presight_ros::Record { topic: topic.into(), log_time_ns: 1, data: data.to_vec() };
+        let _ = live.add(record);
+        live.newest().iter().for_each(|o| o.frame.motion.iter().for_each(|m| check_pose(&m.previous_from_current)));
+    }
+    true
+}
+
+/// Bags: frames have rising stamps and sound poses.
+#[cfg(feature = "ros")]
+pub fn bag(bytes: &[u8]) -> bool {
+    with_file("fuzz.mcap", bytes, |path| {
+        let options = log::BagOptions::default();
+        let Ok(report) = log::bag::BagReport::of(path, &options) else { return false };
+        assert!(!report.lines().is_empty() && report.to_json().starts_with('{'));
+        let Ok(log) = log::Frames::open_with(path, None, &Default::default(), &options) else { return false };
+        let mut time = f64::NEG_INFINITY;
+        for observation in log {
+            let Ok(log::Observation { frame, reference, .. }) = observation else { return false };
+            assert!(frame.stamp > time, "{} after {time}", frame.stamp);
+            time = frame.stamp;
+            reference.iter().for_each(|robot| check_pose(&robot.world_from_robot()));
+            frame.motion.iter().for_each(|motion| check_pose(&motion.previous_from_current));
+        }
+        true
+    })
+}
+
+/// Scans of points: an accepted one has times within a minute of its stamp, and the motion of a robot can be undone.
+pub fn cloud(bytes: &[u8]) -> bool {
+    let name = if bytes.starts_with(b"ply") { "7.5.ply" } else { "7.5.pcd" };
+    with_file(name, bytes, |path| {
+        let Ok(mut frames) = log::Frames::open(path, None, &Default::default()) else { return false };
+        let frame = frames.next().expect("an opened scan").expect("a scan that was read").frame;
+        let [first, last] = frame.sensor().scan_interval();
+        assert!(first >= -61.0 && last <= 61.0 && first <= last, "{first} to {last} s");
+        assert!(frames.notices().iter().all(|notice| !notice.contains('\n')));
+        let twist = Twist::new(glam::DVec3::X, glam::DVec3::Z);
+        let frame = frame.with_scan_motion(ScanMotion::Twist(twist));
+        let still = frame.deskewed(0.5 * (first + last)).expect("a motion without end");
+        assert_eq!(still.ranges().len(), frame.ranges().len());
+        true
     })
 }
 

@@ -134,6 +134,9 @@ targets! {
     script: &["for ", "while true {", "box(", "place(", "import(", "loop {", "range(", "fn f(", "turn(", "scale(", "PI()"];
     sensor_toml: &["format", "kind", "width", "angles_deg", "[noise]", "[mount]", "quaternion", "[distortion]", "file"];
     camera_info: &["%YAML:1.0\n", "!!opencv-matrix", "cam0:", "P:", "R:", "intrinsics", "resolution", "image_width", "K:", "D:", "data", "---", "&a", "*a", "binning_x", "roi", "<<", "!!", "|", ">", "- "];
+    ouster: &["\"beam_altitude_angles\"", "\"beam_intrinsics\"", "\"pixel_shift_by_row\"", "\"column_window\"", "\"512x10\"", "\"lidar_to_sensor_transform\"", "1e308", "null", "[]", "-1"];
+    velodyne: &["lasers:\n", "laser_id: 0", "rot_correction", "vert_offset_correction", "num_lasers: 16", ".nan", ".inf", "*a", "&a", "- {"];
+    pattern: &["azimuth_deg", "elevation_deg", "time_s", "x,y,z", "\n", ",", "nan", "1e308", "-90", "#"];
     layer: &["features", "\"kind\"", "covariances", "cross_covariance", "\"remove\"", "\"object\"", "\"points\"", "tolerance"];
     #[cfg(feature = "store")]
     store: &["CREATE TABLE", "SQLite format 3\0", "objects"];
@@ -147,7 +150,12 @@ targets! {
     corridor: &["polyline_in_robot", "half_width", "z_min", "[0,0]"];
     materials: &["[material.\"a\"]", "reflection", "classes", "world_from_scene", "one_sided", "transparent"];
     robot: &["[[sensors]]", "sensor", "mount", "eye.toml", "cam.yaml", "laser-scanner", "xyz", "rpy_deg"];
-    log: &["\n", "null", "\"inf\"", "\"-inf\"", "{\"t\":2,\"range\":[1,2,3]}", "\"odometry\"", "\"reference\"", "range_max", "1e308", "\"scans\"", "\"valid\""];
+    cloud: &["property uint t\n", "property double timestamp\n", "FIELDS x y z t\n", "SIZE 4 4 4 8\n", "TYPE F F F U\n", "DATA binary\n", "1e9", "nan", "-0.1", "WIDTH 2\nHEIGHT 2\n"];
+    log: &["\n", "null", "\"inf\"", "\"-inf\"", "{\"t\":2,\"range\":[1,2,3]}", "\"odometry\"", "\"reference\"", "\"times\":[0,0.1,0.2]", "\"twist\":[1,0,0,0,0,1]", "\"stamp\":\"last\"", "turn_s", "range_max", "1e308", "\"scans\"", "\"valid\""];
+    #[cfg(feature = "ros")]
+    messages: &["\0\x01\0\0", "\0\0\0\0", "\x01\0\0\0", "/laser\0", "odom\0", "base_link\0"];
+    #[cfg(feature = "ros")]
+    bag: &["MCAP0\r\n", "sensor_msgs/msg/LaserScan", "/tf", "cdr", "ros2msg", "zstd", "lz4", "topics", "messages"];
     exr: &["range\0", "polygon_id\0", "presight:format\0", "string\0", "channels\0", "dataWindow\0", "box2i\0", "tiledesc\0"];
     scenes: &[];
 }

@@ -1,6 +1,7 @@
 //! Images: compares every engine with the reference and the reference with other libraries, and checks the cost of
 //! requests.
 
+mod bundles;
 mod echo;
 mod embree;
 mod engines;

@@ -1,20 +1,21 @@
 //! `presight batch`: predictions of one sensor at many poses, written into a folder.
 
 use super::engine_args::EngineArgs;
+use super::motion_args::{MotionArgs, ScanMotions};
 use super::outputs::check_no_dash;
 use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
 use super::sensor_args::SensorArgs;
 use super::series::SeriesProgress;
 use super::{CommandOutcome, bar, open_scene, print};
 use presight::environment::IndexKind;
-use presight::files::{self, ImportOptions, files_named_by};
-use presight::measured::{Frame, Measurement};
+use presight::files::{self, ImportOptions, StampedPose, files_named_by};
+use presight::measured::{Frame, Measurement, ScanMotion};
 use presight::predict::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};
 use presight::sensor::ExternalPose;
 use presight::tools::{self, create_folder, write_atomically};
 use presight::{
     Backend, Error, IdScheme, ImageRequest, Output, Outputs, Pose, Predictor, Raster, Result, Scene, Sensor,
-    SensorPose, Threads, blake3_of,
+    SensorPose, Threads, Twist, blake3_of,
 };
 use rayon::prelude::*;
 use std::fmt::Write as _;
@@ -102,6 +103,9 @@ pub struct Args {
     world_frame: WorldFrame,
 
     #[command(flatten)]
+    motion: MotionArgs,
+
+    #[command(flatten)]
     engine: EngineArgs,
 
     /// CPU threads, 0 = all cores
@@ -136,6 +140,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     })?;
     // All shards must use the same height.
     request.height = Some(poses.first.world_from_sensor().translation.z);
+    request.motions = args.motions(&scene, &sensor)?;
     let items = args.items(poses.count);
     args.check_inputs(&scene.files)?;
     create_folder(&args.out)?;
@@ -190,6 +195,21 @@ impl Args {
         Ok(BatchRequest { images, likelihood, headings, statistics, ..BatchRequest::default() })
     }
 
+    /// The motion during the scan at each pose: none, one for all, or one for each.
+    fn motions(&self, scene: &Scene, sensor: &Sensor) -> Result<Vec<ScanMotion>> {
+        match self.motion.motions(scene, sensor, None, |pose| self.given(pose))? {
+            ScanMotions::Still => Ok(Vec::new()),
+            ScanMotions::Alike(motion) => Ok(vec![motion]),
+            along @ ScanMotions::Along(..) => {
+                let of_scan = |stamped: Result<StampedPose>| {
+                    let motion = along.at(sensor, stamped?.time)?;
+                    Ok(motion.unwrap_or(ScanMotion::Twist(Twist::default())))
+                };
+                files::stream_tum(&self.poses)?.map(of_scan).collect()
+            }
+        }
+    }
+
     fn check_outputs(&self, outputs: Outputs, sensor: &Sensor) -> Result<()> {
         if outputs.has(Output::FeatureId) {
             return Err(Error::usage("--outputs feature_id: a batch predicts no features", "drop it"));
@@ -218,7 +238,8 @@ impl Args {
         let sensor = PathBuf::from(&self.sensor);
         let table = files_named_by(&sensor);
         let frame = self.likelihood.as_deref().map(|frame| frame_of(frame).0);
-        let named = table.iter().chain([&sensor, &self.poses]).chain(&frame);
+        let trajectory = self.motion.inputs().map(Path::to_path_buf);
+        let named = table.iter().chain([&sensor, &self.poses]).chain(&frame).chain(&trajectory);
         for input in scene.iter().chain(named) {
             let Ok(path) = input.canonicalize() else { continue };
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -239,8 +260,13 @@ impl Args {
             Some(frame) => blake3_of(&frame_of(frame).0)?,
             None => String::new(),
         };
+        let moving = match self.motion.inputs() {
+            Some(path) => format!(" along {}", blake3_of(path)?),
+            None if self.motion.is_given() => format!(" {:?}", self.motion),
+            None => String::new(),
+        };
         let request = format!(
-            "{:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {sensed}",
+            "{:?} {:?} {:?} {:?} {:?} {:?} {:?} {:?} {sensed}{moving}",
             self.likelihood.as_deref().map(frame_of).map(|(_, index)| index),
             self.headings,
             self.cell_m,
@@ -383,7 +409,7 @@ impl PoseFile {
         let mut hasher = blake3::Hasher::new();
         let (mut count, mut first) = (0, None);
         for stamped in files::stream_tum(path)? {
-            let files::StampedPose { time, pose } = stamped?;
+            let StampedPose { time, pose } = stamped?;
             let placed = of_sensor(pose).map_err(|e| e.at(format!("pose {count}")).in_file(path))?;
             first.get_or_insert(placed);
             count += 1;
@@ -416,6 +442,7 @@ impl<'a> Job<'a> {
         let attributes = files::ExrAttributes {
             sensor: Some(files::sensor_to_toml(seen_by.spec())),
             pose: None,
+            motion: None,
             scene: Some(args.scene.display().to_string()),
             scene_blake3: Some(blake3_of(&args.scene)?),
             scene_content: Some(scene.world.environment().content_hash().to_string()),
@@ -461,7 +488,11 @@ impl<'a> Job<'a> {
         });
         let bar = bar::bar(items.len() as u64);
         bar.set_position((first - items.start) as u64);
-        let mut batch = predictor.batch(&self.scene.world, &self.sensor, poses, &self.request)?;
+        let mut request = self.request.clone();
+        if request.motions.len() > 1 {
+            request.motions.drain(..first.min(request.motions.len()));
+        }
+        let mut batch = predictor.batch(&self.scene.world, &self.sensor, poses, &request)?;
         loop {
             let (some, failed) = take(&mut batch, 4 * threads.run(rayon::current_num_threads)?);
             let last = some.last().map(|item| first + item.index);
@@ -497,7 +528,8 @@ impl<'a> Job<'a> {
 
     fn write_image(&self, index: usize, item: &BatchItem) -> Result<()> {
         let raster = item.stats.as_ref().and_then(|stats| stats.raster);
-        let attributes = files::ExrAttributes { pose: Some(item.pose), raster, ..self.attributes.clone() };
+        let motion = self.request.motions.get(index.min(self.request.motions.len().saturating_sub(1))).cloned();
+        let attributes = files::ExrAttributes { pose: Some(item.pose), motion, raster, ..self.attributes.clone() };
         files::write_exr(&self.args.out.join(image_name(index)), &item.images, Outputs::ALL, &attributes)
     }
 

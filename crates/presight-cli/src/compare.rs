@@ -149,7 +149,8 @@ fn differ(a: &ExrAttributes, b: &ExrAttributes) -> bool {
     let has_content = a.scene_content.is_some() && b.scene_content.is_some();
     let scenes_differ =
         if has_content { a.scene_content != b.scene_content } else { apart(&a.scene_blake3, &b.scene_blake3) };
-    scenes_differ || apart(&a.pose, &b.pose) || apart(&a.sensor, &b.sensor) || apart(&a.ids, &b.ids)
+    let with_motion = a.pose.is_some() && b.pose.is_some() && a.motion != b.motion;
+    scenes_differ || with_motion || apart(&a.pose, &b.pose) || apart(&a.sensor, &b.sensor) || apart(&a.ids, &b.ids)
 }
 
 /// The view that the reference was predicted in, and the files of its scene.
@@ -177,7 +178,8 @@ fn view_of(args: &Args, scene: &Path, attributes: &ExrAttributes) -> Result<(Vie
         let what = format!("is not the scene that {} was predicted from", args.reference.display());
         return Err(Error::invalid(what, format!("give the original {was}, or predict again")).in_file(scene));
     }
-    Ok((View { world, sensor, pose, ids, precision: args.precision.into() }, files))
+    let motion = attributes.motion.clone();
+    Ok((View { world, sensor, pose, motion, ids, precision: args.precision.into() }, files))
 }
 
 fn in_words(report: &Report) -> Vec<String> {

@@ -80,6 +80,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if args.image.rectified {
         options.command.push("--rectified".into());
     }
+    if args.image.destagger {
+        options.command.push("--destagger".into());
+    }
     options.engine = args.engine.options(Threads::from(0).started()?);
     let session = Session::open(scene, sensor, options)?;
     let address = server.address();

@@ -201,8 +201,9 @@ impl Args {
         };
         let mut follower: Option<Follower> = None;
         for log in &self.logs {
-            for observation in LogFrames::open_with(log, sensor, &Default::default(), &self.bag.options()?)? {
-                let Observation { frame, reference } = observation?;
+            let mut frames = LogFrames::open_with(log, sensor, &Default::default(), &self.bag.options()?)?;
+            for observation in frames.by_ref() {
+                let Observation { frame, reference, .. } = observation?;
                 let frame = if self.stride > 1 { frame.thinned(self.stride)? } else { frame };
                 let first = match start.or(reference) {
                     Some(pose) => *start.insert(pose),
@@ -218,6 +219,7 @@ impl Args {
                 let place = |e: Error| e.at(format!("the frame at {} s", frame.stamp)).in_file(log);
                 follower.add(&frame).map_err(place)?;
             }
+            notices_of(log, &frames);
         }
         let Some(mut follower) = follower else {
             return Err(Error::invalid("the log has no frames", "give a log with frames").in_file(&self.logs[0]));
@@ -234,12 +236,17 @@ impl Args {
 
     /// Adds the frames of a log that have a pose.
     fn add(&self, log: &Path, sensor: Option<&Sensor>, poses: Option<&[StampedPose]>, views: &mut Views) -> Result<()> {
-        let mut frames = LogFrames::open_with(log, sensor, &Default::default(), &self.bag.options()?)?;
+        let frames = LogFrames::open_with(log, sensor, &Default::default(), &self.bag.options()?)?;
+        // The poses that place the scans also say how the robot moved meanwhile.
+        let mut frames = match poses {
+            None => frames.moving_by_reference(),
+            Some(poses) => frames.moving_along(poses).map_err(|e| e.at("--poses"))?,
+        };
         let is_planar = frames.has_planar_poses();
         let (mut without, mut count, mut steps) = (0, 0, Vec::new());
         let mut before: Option<(f64, Pose)> = None;
         for observation in frames.by_ref() {
-            let Observation { frame, reference } = observation?;
+            let Observation { frame, reference, .. } = observation?;
             let pose = match poses {
                 None => reference.map(|robot| robot.world_from_robot()),
                 Some(poses) => pose_at(poses, frame.stamp),
@@ -262,9 +269,7 @@ impl Args {
             let remedy = "give --poses FILE.tum with the robot's poses at the times of the frames";
             return Err(Error::invalid("no frame has a pose", remedy));
         }
-        let notices = frames.notices();
-        let notices: Vec<String> = notices.iter().map(|notice| format!("{}: {notice}", log.display())).collect();
-        print::notices(&notices);
+        notices_of(log, &frames);
         if without > 0 {
             print::notices(&[format!("{}: {without} frames without a pose are left out", log.display())]);
         }
@@ -274,6 +279,12 @@ impl Args {
         }
         Ok(())
     }
+}
+
+/// Prints what the readings of a log were taken as, and what is unknown of its scans.
+fn notices_of(log: &Path, frames: &LogFrames) {
+    let notices = frames.notices();
+    print::notices(&notices.iter().map(|notice| format!("{}: {notice}", log.display())).collect::<Vec<_>>());
 }
 
 /// The notices of frames outside of the first one's group.

@@ -6,6 +6,8 @@ mod bag_args;
 mod bar;
 mod batch;
 mod compare;
+#[cfg(feature = "ros")]
+mod compared_bag;
 mod deadline;
 mod doctor;
 mod drive;
@@ -26,8 +28,11 @@ mod index;
 mod inspect;
 mod layers;
 mod localize;
+mod motion_args;
 #[cfg(feature = "store")]
 mod occupancy;
+#[cfg(feature = "ros")]
+mod output_bag;
 mod outputs;
 mod overlap;
 pub mod pose;

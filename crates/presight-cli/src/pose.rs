@@ -125,7 +125,8 @@ const REMEDY: &str = "give x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw
 /// Parses `x,y,z,roll_deg,pitch_deg,yaw_deg` or `x,y,z,qx,qy,qz,qw`, separated by commas or blanks.
 ///
 /// # Errors
-/// [`presight::ErrorKind::Usage`] for text, NaN, infinity, too distant positions, a wrong count, or a zero quaternion.
+/// [`presight::ErrorKind::Usage`] for text, NaN, infinity, too distant positions, a wrong count, or a quaternion whose
+/// length is not 1.
 pub fn parse_pose(text: &str) -> Result<Pose> {
     let mut numbers = Vec::new();
     let words: Vec<&str> = match text.contains(',') {

@@ -1,15 +1,18 @@
 //! `presight simulate`: a simulated log of a robot's depth camera or scanner on a drive.
 
+#[cfg(feature = "ros")]
+use super::output_bag::OutputBag;
 use super::outputs::OutputFiles;
 use super::sensor_args::SensorArgs;
 use super::{CommandOutcome, open_scene};
 use presight::environment::IndexKind;
 use presight::files::{self, ImportOptions, LogFrame, StampedPose, load_sensor};
-use presight::measured::Frame;
-use presight::sensor::RayTimes;
+use presight::measured::{Frame, ScanMotion};
+#[cfg(feature = "ros")]
+use presight::ros::{MessageOrigin, Record, sensed};
 use presight::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
 use presight::tools::{create_folder, write_atomically};
-use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads};
+use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads, Twist};
 use presight_pictures as png;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -32,7 +35,8 @@ const BLUR: f64 = 0.7;
 ///
 /// DIR gets the files that `localize` reads - camera.json, depth/*.png, poses.txt, or scans.jsonl for a scanner - and
 /// sensor.toml. Depths are in millimetres, rounded. With --grey it also gets grey images of a second camera, grey/*.png
-/// and grey.toml, lit from that camera. The same seed gives the same log.
+/// and grey.toml, lit from that camera. The same seed gives the same log. A sensor whose rays take time (`turn_s`) is
+/// moved while it measures, as the robot moves from each pose to the next.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -70,6 +74,11 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
+    /// Also write the log as a ROS 2 bag: /tf, /tf_static, and scan and points, or depth and camera_info
+    #[cfg(feature = "ros")]
+    #[arg(long, value_name = "OUT.mcap")]
+    mcap: Option<PathBuf>,
+
     /// Seed of the random numbers
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -106,9 +115,13 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::default();
     files.add_folder(&args.out, &["camera.json", "odometry.txt", "poses.txt", "sensor.toml", "grey.toml", SCANS])?;
+    #[cfg(feature = "ros")]
+    let mut bag = OutputBag::of("--mcap", args.mcap.as_deref(), &mut files)?;
+    #[cfg(feature = "ros")]
+    let mut driven = Pose::IDENTITY;
     let sensors = [Some(&args.sensor), args.grey.as_ref()].into_iter().flatten().map(Path::new);
     files.check_named([args.scene.as_path(), args.poses.as_path()].into_iter().chain(sensors))?;
-    let sensor = at_once(args.image.load(&args.sensor)?)?;
+    let sensor = args.image.load(&args.sensor)?;
     args.check_flags(&sensor)?;
     let camera = sensor.is_camera().then(|| files::camera_json(&sensor)).transpose()?;
     let poses = files::read_tum(&args.poses)?;
@@ -128,9 +141,20 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let walkers = Walkers::new(&mut scene.world, &path, args.height, args.walkers, args.seed)?;
     files.check_scene(&scene.files)?;
     create_folder(&args.out)?;
-    let mut next = |scene: &mut Scene, pose: &StampedPose| {
+    let mut done = 0;
+    let mut next = |scene: &mut Scene, pose: &StampedPose| -> Result<Frame> {
         walkers.walk(&mut scene.world, pose.time)?;
-        simulator.frame(&scene.world, pose.time, &RobotPose::new(pose.pose))
+        let motion = motion_at(&poses, done, &sensor);
+        done += 1;
+        let robot = RobotPose::new(pose.pose);
+        let frame = simulator.frame_in_motion(&scene.world, pose.time, &robot, motion.as_ref())?;
+        #[cfg(feature = "ros")]
+        if let Some(bag) = &mut bag {
+            let since = frame.motion.map_or(Pose::IDENTITY, |motion| motion.previous_from_current);
+            driven = driven * since;
+            bag.add(records(&frame, &pose.pose, driven, bag.is_empty())?)?;
+        }
+        Ok(frame)
     };
     match &camera {
         None => write_scans(&args.out.join(SCANS), &sensor, &poses, |pose| next(&mut scene, pose))?,
@@ -156,6 +180,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             write_text(&args.out.join("poses.txt"), &files::poses_txt(&sensor, &poses))?;
         }
     }
+    #[cfg(feature = "ros")]
+    bag.iter_mut().try_for_each(OutputBag::finish)?;
     write_text(&args.out.join("sensor.toml"), &files::sensor_to_toml(sensor.spec()))?;
     if let Some(grey) = &grey {
         write_text(&args.out.join("grey.toml"), &files::sensor_to_toml(grey.camera().spec()))?;
@@ -163,14 +189,26 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// The sensor with all of its columns measured at the stamp, which is how they are simulated.
-fn at_once(sensor: Sensor) -> Result<Sensor> {
-    if sensor.spec().times.is_at_once() {
-        return Ok(sensor);
-    }
-    let what = "each scan is simulated as if the robot stood still while it is measured: turn_s is left out of the log";
-    super::print::notices(&[what.to_owned()]);
-    Sensor::new(sensor.spec().clone().with_times(RayTimes::AtOnce))
+/// The messages of a simulated frame: the true pose as the transform from `map`, and its odometry from `odom`.
+#[cfg(feature = "ros")]
+fn records(frame: &Frame, truth: &Pose, odom_from_robot: Pose, is_first: bool) -> Result<Vec<Record>> {
+    let mut origin = MessageOrigin::of_frame(frame, None);
+    origin.odom = Some(("odom".into(), odom_from_robot));
+    let mount = is_first.then(|| origin.mount(frame.sensor()));
+    let transforms = [Some(origin.localization(truth)), origin.odometry()].into_iter().flatten();
+    Ok(mount.into_iter().chain(transforms).chain(sensed(frame, &origin)?).collect())
+}
+
+/// How the robot moves during the scan at a pose: constantly, as between this pose and its neighbour on the side of the
+/// scan. `None` if the sensor measures all rays at once, and for a single pose.
+fn motion_at(poses: &[StampedPose], index: usize, sensor: &Sensor) -> Option<ScanMotion> {
+    let [first, last] = sensor.scan_interval();
+    let after = index + 1 < poses.len() && (first + last >= 0.0 || index == 0);
+    let pair = if after { index..index + 2 } else { index.checked_sub(1)?..index + 1 };
+    let [from, to] = poses.get(pair)? else { return None };
+    let seconds = to.time - from.time;
+    let moves = !sensor.spec().times.is_at_once() && seconds > 0.0;
+    moves.then(|| ScanMotion::Twist(Twist::to(&(from.pose.inverse() * to.pose), seconds)))
 }
 
 fn write_text(path: &Path, text: &str) -> Result<()> {
@@ -189,7 +227,9 @@ fn write_scans(
         let mut file = BufWriter::new(file);
         writeln!(file, "{}", files::range_log_header(sensor.spec()))?;
         for pose in poses {
-            match next(pose).and_then(|frame| files::range_log_line(&log_frame(&frame, pose))) {
+            match next(pose)
+                .and_then(|frame| files::range_log_line(&LogFrame::of(&frame, Some(RobotPose::new(pose.pose)))))
+            {
                 Ok(line) => writeln!(file, "{line}")?,
                 Err(e) => {
                     failed = Some(e);
@@ -200,16 +240,6 @@ fn write_scans(
         file.flush()
     });
     failed.map_or(written, Err)
-}
-
-fn log_frame(frame: &Frame, pose: &StampedPose) -> LogFrame {
-    LogFrame {
-        time: frame.stamp,
-        range: frame.ranges().to_vec(),
-        intensities: frame.intensities().map(|i| i.values().to_vec()),
-        odometry: frame.motion.map(|m| m.previous_from_current),
-        reference: Some(RobotPose::new(pose.pose)),
-    }
 }
 
 /// Writes the images of one time.

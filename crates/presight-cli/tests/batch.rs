@@ -41,13 +41,7 @@ impl Place {
         files::write_glb(&place.path("room.glb"), &scenes::room(4, 20)).unwrap();
         place.write("a.tum", &tum(POSES));
         place.write("s.toml", &files::sensor_to_toml(scanner().spec()));
-        let frame = |time: f64, range: f32| files::LogFrame {
-            time,
-            range: vec![range; 361],
-            intensities: None,
-            odometry: None,
-            reference: None,
-        };
+        let frame = |time: f64, range: f32| files::LogFrame::new(time, vec![range; 361]);
         let lines = [1.0, 2.0].map(|t| files::range_log_line(&frame(t, 1.5 * t as f32)).unwrap());
         place.write("run.jsonl", &format!("{}\n{}\n", files::range_log_header(scanner().spec()), lines.join("\n")));
         place

@@ -221,9 +221,12 @@ impl Grid {
     pub fn yaml(&self, image: &str) -> String {
         // A grey value of 205 is the probability (255 - 205) / 255 = 0.19608, which lies between the thresholds.
         format!(
-            "image: {image}\nmode: trinary\nresolution: {:?}\norigin: [{:?}, {:?}, 0.0]\nnegate: 0\n\
+            "image: {}\nmode: trinary\nresolution: {:?}\norigin: [{:?}, {:?}, 0.0]\nnegate: 0\n\
              occupied_thresh: 0.65\nfree_thresh: 0.196\n",
-            self.cell, self.origin.x, self.origin.y
+            quoted_yaml(image),
+            self.cell,
+            self.origin.x,
+            self.origin.y
         )
     }
 
@@ -233,9 +236,25 @@ impl Grid {
     }
 }
 
+/// A double-quoted YAML scalar: in a plain one `#` begins a comment and `: ` a value.
+fn quoted_yaml(text: &str) -> String {
+    let mut quoted = String::from("\"");
+    for c in text.chars() {
+        match c {
+            '"' | '\\' => quoted.extend(['\\', c]),
+            c if c.is_control() => quoted += &format!("\\u{:04X}", u32::from(c)),
+            c => quoted.push(c),
+        }
+    }
+    quoted + "\""
+}
+
+/// The polygons that are not marked as absent for all sensors.
 fn polygons(environment: &Environment) -> Vec<Vec<DVec3>> {
-    let live = environment.objects().iter().filter(|o| !o.is_deleted());
-    live.flat_map(|o| (0..o.mesh.polygon_count() as u32).map(move |k| o.polygon_in_world(k))).collect()
+    environment
+        .present_polygons()
+        .map(|(object, k)| environment.objects()[object as usize].polygon_in_world(k))
+        .collect()
 }
 
 /// Cells aligned to multiples of their side, so that all grids of a scene share their cells.

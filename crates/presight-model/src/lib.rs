@@ -20,6 +20,7 @@ mod options;
 pub mod place;
 mod placed;
 pub mod placement;
+pub mod plausible;
 pub mod poses;
 pub mod printable;
 pub mod random;

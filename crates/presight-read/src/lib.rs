@@ -2,6 +2,7 @@
 //! the writers of models and layers. They know the data types of `presight-model` and no renderer.
 
 pub mod atomic;
+pub mod beams;
 pub mod camera_info;
 pub mod cloud;
 pub mod depth_folder;
@@ -24,8 +25,9 @@ pub mod sensor_toml;
 pub mod temporary;
 pub mod text;
 pub mod tum;
+mod yaml;
 
-pub use load::{files_named_by, load_rectified, load_sensor, preset};
+pub use load::{SensorOptions, files_named_by, load_sensor, load_sensor_with, preset};
 pub use robot_toml::{Robot, load_robot};
 
 use presight_model::error::{Error, ErrorKind};

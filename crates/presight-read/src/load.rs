@@ -1,9 +1,9 @@
 //! Sensors by name: a preset, or a sensor file in one of the supported formats.
 
-use super::text::{read_settings, toml_from_str};
-use super::{camera_info, sensor_toml};
+use super::text::{from_settings, read_settings, toml_from_str};
+use super::{beams, camera_info, sensor_toml};
 use presight_model::error::{Error, Result};
-use presight_model::sensor::{PRESETS, Sensor};
+use presight_model::sensor::{Geometry, PRESETS, RayTable, Sensor, SensorSpec};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -28,71 +28,139 @@ pub(super) fn preset_names() -> String {
     PRESETS.iter().map(|p| p.name).collect::<Vec<_>>().join(", ")
 }
 
-/// Makes the sensor that `--sensor PRESET|FILE` names: a preset, a sensor TOML, or the YAML of a camera's calibration
-/// ([`camera_info`]), where `FILE.yaml:cam1` names a camera of Kalibr's camchain. Also returns notices on unused parts
-/// of the file.
+/// What to make of a sensor file that describes more than one image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct SensorOptions {
+    /// The rectified camera of a ROS camera_info: P, turned by R.
+    pub rectified: bool,
+    /// The destaggered image of a lidar: rows moved by the shifts of its beam table, so that a column is a direction.
+    pub destagger: bool,
+}
+
+impl SensorOptions {
+    /// With the rectified image: see [`SensorOptions::rectified`].
+    #[must_use]
+    pub fn with_rectified(self, rectified: bool) -> Self {
+        Self { rectified, ..self }
+    }
+
+    /// With the destaggered image: see [`SensorOptions::destagger`].
+    #[must_use]
+    pub fn with_destagger(self, destagger: bool) -> Self {
+        Self { destagger, ..self }
+    }
+}
+
+/// Makes the sensor that `--sensor PRESET|FILE` names: a preset, a sensor TOML, the YAML of a camera's calibration
+/// ([`camera_info`]) or of a Velodyne's ([`beams::velodyne`]), the metadata of an Ouster ([`beams::ouster`]), or a
+/// pattern ([`beams::pattern`]). `FILE.yaml:cam1` names a camera of Kalibr's camchain, and `FILE.csv:0.2..0.3` the part
+/// of a pattern from 0.2 to 0.3 s. Also returns notices on unused parts of the file.
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Usage`] if it is neither a preset nor ends in `.toml`, `.yaml` or `.yml`; errors of
-/// [`sensor_toml::read`] and [`camera_info::read`].
+/// [`presight_model::ErrorKind::Usage`] if it is neither a preset nor has the name of a sensor file; errors of the
+/// readers.
 pub fn load_sensor(arg: &str) -> Result<(Sensor, Vec<String>)> {
-    load(arg, false)
+    load_sensor_with(arg, SensorOptions::default())
 }
 
-/// As [`load_sensor`], but makes the rectified camera of a ROS camera_info: P, turned by R.
+/// As [`load_sensor`], with options.
 ///
 /// # Errors
-/// As [`load_sensor`], and [`presight_model::ErrorKind::Usage`] for a preset or a file that has no rectified camera.
-pub fn load_rectified(arg: &str) -> Result<(Sensor, Vec<String>)> {
-    load(arg, true)
-}
-
-pub(super) fn load(arg: &str, rectified: bool) -> Result<(Sensor, Vec<String>)> {
-    let (path, camera) = file_and_camera(arg);
-    let is_yaml = is_yaml(path);
-    if rectified && !is_yaml {
+/// As [`load_sensor`], and [`presight_model::ErrorKind::Usage`] for a sensor that has no such image.
+pub fn load_sensor_with(arg: &str, options: SensorOptions) -> Result<(Sensor, Vec<String>)> {
+    let SensorOptions { rectified, destagger } = options;
+    let (path, part) = file_and_part(arg);
+    if rectified && !has_extension(path, &["yaml", "yml"]) {
         let what = format!("{arg:?} has no P and R of a rectified image");
         return Err(Error::usage(what, "give a camera_info, or drop `rectified: true`"));
     }
-    if PRESETS.iter().any(|p| p.name == arg) {
-        return Ok((preset(arg)?, Vec::new()));
+    let is_preset = PRESETS.iter().any(|p| p.name == arg);
+    let (spec, notices) =
+        if is_preset { (preset(arg)?.spec().clone(), Vec::new()) } else { read(path, part, arg, rectified)? };
+    let spec = if destagger { destaggered(spec, arg)? } else { spec };
+    let sensor = Sensor::new(spec).map_err(|e| if is_preset { e } else { e.in_file(path) })?;
+    Ok((sensor, notices))
+}
+
+/// Reads a sensor file by the end of its name and by its content.
+fn read(path: &Path, part: Option<&str>, arg: &str, rectified: bool) -> Result<(SensorSpec, Vec<String>)> {
+    if has_extension(path, &["toml"]) {
+        return Ok((sensor_toml::read(path)?, Vec::new()));
     }
-    let (spec, notices) = match path.extension() {
-        Some(toml) if toml.eq_ignore_ascii_case("toml") => (sensor_toml::read(path)?, Vec::new()),
-        _ if is_yaml => camera_info::read(path, camera, rectified)?,
-        _ => {
-            return Err(Error::usage(
-                format!("{arg:?} is neither a preset nor a sensor file"),
-                format!("choose one of {}, or name a file that ends in .toml, .yaml or .yml", preset_names()),
-            ));
-        }
+    if has_extension(path, &["json"]) {
+        return beams::ouster::read(path);
+    }
+    let name = path.file_stem().map_or_else(|| "sensor".into(), |s| s.to_string_lossy());
+    if has_extension(path, &["csv"]) {
+        let pattern = beams::pattern::read(path)?;
+        let (start, seconds) = part.map_or(Ok((0.0, None)), |part| seconds_of(part).map(|(a, b)| (a, Some(b - a))))?;
+        return pattern.sensor(&name, start, seconds).map(|spec| (spec, Vec::new())).map_err(|e| e.in_file(path));
+    }
+    if has_extension(path, &["yaml", "yml"]) {
+        return from_settings(path, |text| match beams::velodyne::is_calibration(text) {
+            true if rectified || part.is_some() => {
+                let what = "the calibration of a lidar has no cameras";
+                Err(Error::usage(what, "give the name of the file alone, without `rectified: true`"))
+            }
+            true => beams::velodyne::parse(text, &name),
+            false => camera_info::parse(text, &name, part, rectified),
+        });
+    }
+    Err(Error::usage(format!("{arg:?} is neither a preset nor a sensor file"), sensor_remedy()))
+}
+
+/// How to name a sensor.
+pub(super) fn sensor_remedy() -> String {
+    format!("choose one of {}, or name a file that ends in .toml, .yaml, .yml, .json or .csv", preset_names())
+}
+
+/// The part `FROM..TO` of a pattern, seconds.
+fn seconds_of(part: &str) -> Result<(f64, f64)> {
+    let ends = part.split_once("..").and_then(|(a, b)| Some((a.parse::<f64>().ok()?, b.parse::<f64>().ok()?)));
+    ends.filter(|(from, to)| from.is_finite() && to.is_finite() && from < to).ok_or_else(|| {
+        Error::usage(format!("{part:?} is no part of a pattern"), "give its seconds, such as pattern.csv:0.2..0.3")
+    })
+}
+
+/// The sensor with the destaggered image.
+fn destaggered(spec: SensorSpec, arg: &str) -> Result<SensorSpec> {
+    let beams = match &spec.geometry {
+        Geometry::Rays(table) => table.beams().filter(|beams| beams.shifts.iter().any(|shift| *shift != 0)),
+        _ => None,
     };
-    Ok((Sensor::new(spec).map_err(|e| e.in_file(path))?, notices))
+    let Some(mut beams) = beams.cloned() else {
+        let what = format!("the rows of {arg:?} have no stagger");
+        return Err(Error::usage(what, "take the image unchanged, or give Ouster's metadata with pixel_shift_by_row"));
+    };
+    beams.is_destaggered = true;
+    let times = beams.times();
+    Ok(spec.with_geometry(Geometry::Rays(RayTable::of_beams(beams)?)).with_times(times))
 }
 
-fn is_yaml(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("yaml") || e.eq_ignore_ascii_case("yml"))
+fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+    path.extension().is_some_and(|e| extensions.iter().any(|known| e.eq_ignore_ascii_case(known)))
 }
 
-/// The file and the camera that `FILE.yaml:CAMERA` names.
-fn file_and_camera(arg: &str) -> (&Path, Option<&str>) {
+/// The file and the part of it that `FILE.yaml:CAMERA` and `FILE.csv:FROM..TO` name.
+fn file_and_part(arg: &str) -> (&Path, Option<&str>) {
     match arg.rsplit_once(':') {
-        Some((file, camera)) if is_yaml(Path::new(file)) => (Path::new(file), Some(camera)),
+        Some((file, part)) if has_extension(Path::new(file), &["yaml", "yml", "csv"]) => (Path::new(file), Some(part)),
         _ => (Path::new(arg), None),
     }
 }
 
 /// The files that a sensor file (its ray table) or a robot file (its sensors, and their ray tables) names, and the file
-/// in `FILE.yaml:CAMERA`. A file that cannot be read names none; loading it reports why.
+/// in `FILE.yaml:CAMERA` and `FILE.csv:FROM..TO`. A file that cannot be read names none; loading it reports why.
 pub fn files_named_by(path: &Path) -> Vec<PathBuf> {
-    let of_camera = |path: &Path| {
-        let (file, camera) = file_and_camera(path.to_str()?);
-        camera.map(|_| file.to_owned())
+    let of_part = |path: &Path| {
+        let (file, part) = file_and_part(path.to_str()?);
+        part.map(|_| file.to_owned())
     };
     let (table, sensors) = names_in(path);
-    let mut files: Vec<PathBuf> = table.into_iter().chain(of_camera(path)).collect();
+    let mut files: Vec<PathBuf> = table.into_iter().chain(of_part(path)).collect();
     for sensor in sensors {
-        files.extend(names_in(&sensor).0.into_iter().chain(of_camera(&sensor)));
+        files.extend(names_in(&sensor).0.into_iter().chain(of_part(&sensor)));
         files.push(sensor);
     }
     files
@@ -131,7 +199,11 @@ mod tests {
             ("laser-range-camera", 321, 41, "laser", 10.0),
             ("laser-scanner", 361, 1, "laser", 30.0),
             ("vlp-16", 1800, 16, "laser", 100.0),
+            ("vlp-16-real", 1808, 16, "laser", 100.0),
+            ("vlp-32c-real", 1808, 32, "laser", 200.0),
             ("os1-128", 1024, 128, "laser", 120.0),
+            ("os1-128-real", 1024, 128, "laser", 120.0),
+            ("mid-360-like", 20_000, 1, "laser", 40.0),
             ("realsense-d435", 1280, 720, "video", 10.0),
         ];
         assert_eq!(expected.map(|e| e.0).as_slice(), PRESETS.iter().map(|p| p.name).collect::<Vec<_>>());
@@ -187,7 +259,8 @@ mod tests {
         assert_eq!(load_sensor(&chosen).unwrap().0.spec().name, "cam1");
         assert_eq!(files_named_by(Path::new(&chosen)), [PathBuf::from(path("chain.yml"))]);
         for arg in ["vlp-16", &path("eye.toml"), &chosen] {
-            assert_eq!(load_rectified(arg).unwrap_err().kind(), ErrorKind::Usage, "{arg}");
+            let rectified = SensorOptions::default().with_rectified(true);
+            assert_eq!(load_sensor_with(arg, rectified).unwrap_err().kind(), ErrorKind::Usage, "{arg}");
         }
         // The error of a complete but invalid sensor names the file too.
         std::fs::write(path("eye.YAML"), yaml.replace("4", "0")).unwrap();

@@ -8,10 +8,11 @@
 //! name = "front"               # optional, default: the sensor's own name; names must differ
 //! sensor = "laser-scanner"     # a preset, or a sensor file relative to this file
 //! rectified = true             # optional: the rectified camera of a ROS camera_info (P, R), default false
+//! destagger = true             # optional: the destaggered image of a lidar's beam table, default false
 //! mount = { xyz = [0.2, 0.0, 0.3], rpy_deg = [0.0, 0.0, 0.0] }  # optional, default: the sensor's own [mount]
 //! ```
 
-use super::load::{load, preset_names};
+use super::load::{SensorOptions, load_sensor_with, sensor_remedy};
 use super::sensor_toml::MountTable;
 use super::text::{check_format, from_settings, toml_from_str};
 use presight_model::error::{Error, ErrorKind, Result};
@@ -47,6 +48,8 @@ struct Entry {
     mount: Option<MountTable>,
     #[serde(default)]
     rectified: bool,
+    #[serde(default)]
+    destagger: bool,
 }
 
 /// Reads a robot file with all its sensors. Also returns notices on unused parts of the sensor files.
@@ -87,12 +90,12 @@ impl Entry {
         let is_preset = PRESETS.iter().any(|p| p.name == self.sensor);
         let arg =
             if is_preset { self.sensor.clone() } else { folder.join(&self.sensor).to_string_lossy().into_owned() };
-        let (sensor, more) = load(&arg, self.rectified).map_err(|e| match e.kind() {
+        let options = SensorOptions::default().with_rectified(self.rectified).with_destagger(self.destagger);
+        let (sensor, more) = load_sensor_with(&arg, options).map_err(|e| match e.kind() {
             // The name comes from a file, not from the command line, so the file is at fault.
-            ErrorKind::Usage if e.what().contains("neither a preset") => Error::invalid(
-                format!("{:?} is neither a preset nor a sensor file", self.sensor),
-                format!("choose one of {}, or name a file that ends in .toml, .yaml or .yml", preset_names()),
-            ),
+            ErrorKind::Usage if e.what().contains("neither a preset") => {
+                Error::invalid(format!("{:?} is neither a preset nor a sensor file", self.sensor), sensor_remedy())
+            }
             ErrorKind::Usage => Error::invalid(e.what(), e.remedy().replace("`rectified: true`", "rectified = true")),
             _ => e,
         })?;

@@ -111,7 +111,7 @@ fn stamped(line: &str) -> Result<StampedPose> {
     let pose = Pose::new(DVec3::new(x, y, z), DQuat::from_xyzw(qx, qy, qz, qw));
     Ok(StampedPose {
         time,
-        pose: pose.map_err(|_| wrong("the pose is too far away, or its quaternion has no length".into()))?,
+        pose: pose.map_err(|_| wrong("the pose is too far away, or its quaternion has not the length 1".into()))?,
     })
 }
 

@@ -1,10 +1,11 @@
 //! Range images as points.
 
 use crate::plan::{IdScheme, Images, Output, Outputs, PolygonsOfIds};
-use glam::{DVec3, Vec3};
+use glam::{DQuat, DVec3, Vec3};
 use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{SensorPose, plane_of_polygon};
+use presight_model::geometry::{Pose, SensorPose, plane_of_polygon};
+use presight_model::measured::{ScanMotion, ScanPoses};
 use presight_model::memory;
 use presight_model::sensor::{Geometry, Sensor};
 use std::collections::HashMap;
@@ -30,19 +31,69 @@ pub struct PointCloud<'a> {
     rings: bool,
     frame: PointsFrame,
     pose: SensorPose,
+    scan: Scan,
     positions: Vec<DVec3>,
     normals: Vec<Vec3>,
 }
 
+/// How the sensor moves while it measures the points.
+#[derive(Clone, Debug, Default)]
+struct Scan {
+    /// Poses of bundles in the frame of the sensor at the stamp; `None` if one pose holds for all rays.
+    poses: Option<ScanPoses>,
+    /// From the frame of the sensor at the stamp to that of the points, if they are all in one.
+    then_from_stamp: Option<Pose>,
+    width: u32,
+}
+
+impl Scan {
+    /// Pose of the bundle of a pixel in the frame of the sensor at the stamp.
+    fn stamp_from_ray(&self, pixel: usize) -> Option<&Pose> {
+        let width = self.width as usize;
+        self.poses.as_ref().map(|poses| poses.of_pixel((pixel % width) as u32, (pixel / width) as u32))
+    }
+
+    /// The bundle of a pixel.
+    fn bundle(&self, pixel: usize) -> u32 {
+        let (column, row) = (pixel as u32 % self.width, pixel as u32 / self.width);
+        self.poses.as_ref().map_or(0, |poses| poses.bundles().of_pixel(column, row))
+    }
+}
+
 impl<'a> PointCloud<'a> {
     /// Computes the points of a range image: the sensor's f64 ray times the range. Pixels without a range become NaN.
+    /// The robot stands; see [`PointCloud::of_scan`].
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] if the range image is missing, or an image does not have the sensor's
     /// size; errors of [`presight_model::geometry::Pose::check`].
     pub fn new(images: &'a Images, sensor: &Sensor, pose: &SensorPose, frame: PointsFrame) -> Result<Self> {
+        Self::of_scan(images, sensor, pose, frame, None, None)
+    }
+
+    /// Computes the points of a range image that the sensor measured while the robot moved; `pose` is the sensor's at the
+    /// stamp. Points in the frame of the sensor are as sensed, each in the frame at the time of its own ray, or deskewed:
+    /// all in the frame at `moment`, seconds after the stamp. Points in the world need no moment.
+    ///
+    /// # Errors
+    /// The errors of [`PointCloud::new`]; [`presight_model::ErrorKind::Invalid`] if the motion does not reach over the
+    /// scan or to the moment.
+    pub fn of_scan(
+        images: &'a Images,
+        sensor: &Sensor,
+        pose: &SensorPose,
+        frame: PointsFrame,
+        motion: Option<&ScanMotion>,
+        moment: Option<f64>,
+    ) -> Result<Self> {
         let world_from_sensor = pose.world_from_sensor();
         world_from_sensor.check()?;
+        let then = motion.zip(moment).map(|(motion, at)| motion.sensor_at(sensor, &Pose::IDENTITY, at)).transpose()?;
+        let scan = Scan {
+            poses: ScanPoses::new(sensor, &Pose::IDENTITY, motion)?,
+            then_from_stamp: then.map(|pose| pose.inverse()),
+            width: sensor.width(),
+        };
         let pixels = sensor.width() as usize * sensor.height() as usize;
         let fits = |output| images.samples(output).is_none_or(|samples| samples.len() == pixels);
         let of_size = (images.width, images.height) == (sensor.width(), sensor.height());
@@ -58,10 +109,16 @@ impl<'a> PointCloud<'a> {
             for column in 0..sensor.width() {
                 let range = images.range[row as usize * sensor.width() as usize + column as usize];
                 let ray = sensor.ray(column, row).filter(|_| range.is_finite());
-                let in_sensor = ray.map(|ray| body_from_image * ray * f64::from(range));
-                let point = match frame {
-                    PointsFrame::Sensor => in_sensor,
-                    PointsFrame::World => in_sensor.map(|p| world_from_sensor.transform_point(p)),
+                let from_origin = ray.map(|ray| body_from_image * ray * f64::from(range));
+                let of_ray = scan.poses.as_ref().map(|poses| poses.of_pixel(column, row));
+                // Ranges count from behind the point at which the ray leaves the sensor.
+                let lead = ray.map_or(DVec3::ZERO, |ray| body_from_image * ray * sensor.range_lead());
+                let at_stamp = |p| of_ray.map_or(p, |pose| pose.transform_point(p - lead));
+                let point = match (frame, &scan.then_from_stamp) {
+                    (PointsFrame::Sensor, None) if of_ray.is_none() => from_origin,
+                    (PointsFrame::Sensor, None) => from_origin.map(|p| sensor.origin(column, row) + p),
+                    (PointsFrame::Sensor, Some(then)) => from_origin.map(|p| then.transform_point(at_stamp(p))),
+                    (PointsFrame::World, _) => from_origin.map(|p| world_from_sensor.transform_point(at_stamp(p))),
                 };
                 positions.push(point.unwrap_or(DVec3::NAN));
             }
@@ -69,11 +126,17 @@ impl<'a> PointCloud<'a> {
         let rings = !matches!(sensor.spec().geometry, Geometry::Camera(_));
         let outputs = images.outputs();
         let mut normals = memory::reserved(images.normal.len())?;
-        normals.extend(images.normal.iter().map(|n| match frame {
-            PointsFrame::Sensor => Vec3::from(*n),
-            PointsFrame::World => (world_from_sensor.rotation * DVec3::from(n.map(f64::from))).as_vec3(),
+        normals.extend(images.normal.iter().enumerate().map(|(pixel, n)| {
+            let turn = scan.stamp_from_ray(pixel).map_or(DQuat::IDENTITY, |pose| pose.rotation);
+            match (frame, &scan.then_from_stamp) {
+                (PointsFrame::Sensor, None) => Vec3::from(*n),
+                (PointsFrame::Sensor, Some(then)) => (then.rotation * turn * DVec3::from(n.map(f64::from))).as_vec3(),
+                (PointsFrame::World, _) => {
+                    (world_from_sensor.rotation * (turn * DVec3::from(n.map(f64::from)))).as_vec3()
+                }
+            }
         }));
-        Ok(Self { images, outputs, rings, frame, pose: *pose, positions, normals })
+        Ok(Self { images, outputs, rings, frame, pose: *pose, scan, positions, normals })
     }
 
     /// Keeps only the fields of these images.
@@ -100,13 +163,15 @@ impl<'a> PointCloud<'a> {
             return Err(Error::invalid("normals need the images that identify polygons", remedy));
         }
         let mut found = PolygonsOfIds::new(environment, ids);
-        let mut known: HashMap<(u32, u32), Vec3> = HashMap::new();
-        let mut last = ((0, 0), Vec3::NAN);
+        let mut known: HashMap<(u32, u32, u32), Vec3> = HashMap::new();
+        let mut last = ((0, 0, 0), Vec3::NAN);
         let mut normals = memory::reserved(polygons.len())?;
-        for seen in objects.iter().copied().zip(polygons.iter().copied()) {
+        for (pixel, (object, polygon)) in objects.iter().zip(polygons).enumerate() {
+            let seen = (*object, *polygon, self.scan.bundle(pixel));
             // Neighbouring pixels mostly show the same polygon.
             if seen != last.0 {
-                let normal = || found.find(seen.0, seen.1).map_or(Vec3::NAN, |(o, p)| self.normal(environment, o, p));
+                let normal =
+                    || found.find(seen.0, seen.1).map_or(Vec3::NAN, |(o, p)| self.normal(environment, o, p, pixel));
                 last = (seen, *known.entry(seen).or_insert_with(normal));
             }
             normals.push(last.1);
@@ -115,16 +180,19 @@ impl<'a> PointCloud<'a> {
         Ok(self)
     }
 
-    fn normal(&self, environment: &Environment, object: u32, polygon: u32) -> Vec3 {
-        let pose = self.pose.world_from_sensor();
+    /// Normal of a polygon on the side of the ray of a pixel.
+    fn normal(&self, environment: &Environment, object: u32, polygon: u32, pixel: usize) -> Vec3 {
+        let at_stamp = self.pose.world_from_sensor();
+        let pose = self.scan.stamp_from_ray(pixel).map_or(at_stamp, |pose| at_stamp * *pose);
         let corners = environment.objects()[object as usize].polygon_in_world(polygon);
         // Positions relative to the sensor keep their digits far from the origin.
         let relative: Vec<DVec3> = corners.iter().map(|p| *p - pose.translation).collect();
         let Some(plane) = plane_of_polygon(&relative) else { return Vec3::NAN };
         let normal = if plane.offset > 0.0 { -plane.normal } else { plane.normal };
-        match self.frame {
-            PointsFrame::Sensor => (pose.rotation.conjugate() * normal).as_vec3(),
-            PointsFrame::World => normal.as_vec3(),
+        match (self.frame, &self.scan.then_from_stamp) {
+            (PointsFrame::Sensor, None) => (pose.rotation.conjugate() * normal).as_vec3(),
+            (PointsFrame::Sensor, Some(then)) => (then.rotation * (at_stamp.rotation.conjugate() * normal)).as_vec3(),
+            (PointsFrame::World, _) => normal.as_vec3(),
         }
     }
 

@@ -114,10 +114,25 @@ impl FrameTree {
         Lookup::Found(common_from_target.inverse() * common_from_source)
     }
 
+    /// The stamps of all samples of the moving edges between two frames, nanoseconds, rising; none if they are not connected.
+    pub fn stamps(&self, target: &str, source: &str) -> Vec<i64> {
+        let (up, down) = self.route(clean_frame_id(target), clean_frame_id(source)).unwrap_or_default();
+        let edges = up.iter().chain(&down).map(|child| &self.edges[*child]).filter(|edge| !edge.is_static);
+        let mut stamps: Vec<i64> = edges.flat_map(|edge| edge.samples.iter().map(|(stamp, _)| *stamp)).collect();
+        stamps.sort_unstable();
+        stamps.dedup();
+        stamps
+    }
+
     /// True if only static edges lie between two frames that are connected.
     pub fn is_rigid(&self, target: &str, source: &str) -> bool {
         self.route(clean_frame_id(target), clean_frame_id(source))
             .is_some_and(|(up, down)| up.iter().chain(&down).all(|child| self.edges[*child].is_static))
+    }
+
+    /// Drops every edge that is not static.
+    pub fn forget_moving(&mut self) {
+        self.edges.retain(|_, edge| edge.is_static);
     }
 
     /// Drops samples that no lookup at `stamp_ns` or later needs.
@@ -195,6 +210,8 @@ mod tests {
         assert!((found.translation - DVec3::new(1.0 + half, half, 0.0)).length() < 1e-12, "{found:?}");
         let Lookup::Found(back) = tree.lookup("laser", "odom", 20) else { panic!() };
         assert!(((back * found).translation).length() < 1e-12);
+        assert_eq!(tree.stamps("laser", "odom"), [10, 30]);
+        assert!(tree.stamps("base_link", "laser").is_empty() && tree.stamps("odom", "camera").is_empty());
         assert_eq!(tree.lookup("odom", "laser", 31), Lookup::Later("base_link".into()));
         assert_eq!(tree.lookup("odom", "laser", 9), Lookup::Before("base_link".into()));
         assert_eq!(tree.lookup("odom", "camera", 20), Lookup::Unconnected);

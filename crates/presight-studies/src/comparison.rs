@@ -3,9 +3,10 @@
 use presight::files::ImageFile;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::SensorPose;
+use presight_model::measured::{ScanMotion, ScanPoses};
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
-use presight_render::plan::{FramePlan, IdScheme, ImageRequest, Images};
+use presight_render::plan::{FramePlan, IdScheme, ImageRequest, Images, PlanBuffers};
 use presight_render::verify;
 pub use presight_render::verify::{Precision, Report};
 
@@ -18,6 +19,8 @@ pub struct View {
     pub sensor: Sensor,
     /// The pose of the sensor.
     pub pose: SensorPose,
+    /// The motion of the robot during the scan; `None` if it stood.
+    pub motion: Option<ScanMotion>,
     /// What the ids of the images count.
     pub ids: IdScheme,
     /// The precision of the images to check.
@@ -34,7 +37,11 @@ pub fn compare(reference: &ImageFile, other: &ImageFile, view: Option<&View>) ->
         None => verify::compare_exactly(a, b),
         Some(view) => {
             let request = ImageRequest { outputs: reference.images.outputs(), ids: view.ids };
-            let plan = FramePlan::new(&view.world, &view.sensor, &view.pose.world_from_sensor(), request)?;
+            let (world, sensor, pose) = (&view.world, &view.sensor, view.pose.world_from_sensor());
+            let plan = match ScanPoses::new(sensor, &pose, view.motion.as_ref())? {
+                Some(poses) => FramePlan::in_bundles(PlanBuffers::default(), world, sensor, &pose, request, poses)?,
+                None => FramePlan::new(world, sensor, &pose, request)?,
+            };
             verify::compare(a, b, &plan, view.precision)
         }
     };

@@ -2,7 +2,7 @@
 
 use super::skip::skip;
 use presight_model::geometry::Pose;
-use presight_model::sensor::Sensor;
+use presight_model::sensor::{Geometry, PRESETS, Sensor};
 use presight_model::world::World;
 use presight_predict::free_poses::free_poses;
 use presight_read::gltf::{ImportOptions, import};
@@ -40,15 +40,16 @@ pub fn poses(world: &World, n: usize, seed: u64) -> Vec<Pose> {
     free_poses(world, n, seed).expect("the scene has free poses")
 }
 
-/// Every preset sensor.
+/// Every preset sensor whose rays start at one point, in lines.
 pub fn presets() -> Vec<Sensor> {
-    presight_model::sensor::PRESETS.iter().map(|p| presight_read::preset(p.name).expect("a sound preset")).collect()
+    let all = PRESETS.iter().map(|p| presight_read::preset(p.name).expect("a sound preset"));
+    all.filter(|sensor| !matches!(sensor.spec().geometry, Geometry::Rays(_))).collect()
 }
 
-/// A selection of `share` presets. Consecutive poses, or consecutive turns at one pose, cover all presets.
+/// A selection of `share` of these. Consecutive poses, or consecutive turns at one pose, cover all of them.
 pub fn presets_at(turn: usize, pose: usize, share: usize) -> Vec<Sensor> {
-    let (all, count) = (presets(), presight_model::sensor::PRESETS.len());
-    let share = share.min(count);
-    let first = (turn + pose) * share % count;
+    let all = presets();
+    let share = share.min(all.len());
+    let first = (turn + pose) * share % all.len();
     all.iter().cycle().skip(first).take(share).cloned().collect()
 }

@@ -123,6 +123,20 @@ impl Oracle {
         self.hit(from, direction).map_or(f64::INFINITY, |(range, _)| range)
     }
 
+    /// As [`Oracle::cast`], for a sensor on a robot that moves: `robot` gives the robot's pose in the world by seconds
+    /// after the stamp.
+    pub fn cast_moving(
+        &self,
+        sensor: &Sensor,
+        robot: &dyn Fn(f64) -> Pose,
+        (column, row): (u32, u32),
+    ) -> Option<PixelValues> {
+        let (at, mount) = (robot(sensor.seconds_after_stamp(column, row)), sensor.spec().mount);
+        let start = mount.translation + mount.rotation * sensor.start(column, row);
+        let pose = Pose { rotation: at.rotation * mount.rotation, translation: at.translation + at.rotation * start };
+        self.cast(sensor, &pose, (column, row))
+    }
+
     /// The correct values of a pixel; `None` if it has no ray.
     pub fn cast(&self, sensor: &Sensor, world_from_sensor: &Pose, (column, row): (u32, u32)) -> Option<PixelValues> {
         let ray = sensor.ray(column, row)?;
@@ -131,6 +145,8 @@ impl Oracle {
         let vector = |v: DVec3| Vector::new(v.x, v.y, v.z);
         let hit =
             CompositeShapeRef(&self.mesh).cast_local_ray(&Ray::new(vector(from), vector(direction)), f64::MAX, false);
+        // Ranges count from behind the point at which the ray leaves the sensor.
+        let hit = hit.map(|(triangle, range)| (triangle, range + sensor.range_lead()));
         let spec = sensor.spec();
         let camera = |z: f32| sensor.is_camera().then_some(z);
         let Some((triangle, range)) = hit.filter(|(_, range)| *range <= spec.range_max) else {

@@ -24,6 +24,7 @@ use presight_model::geometry::PoseEstimate;
 use presight_model::measured::Frame;
 use presight_model::world::World;
 use presight_store::ProposedChange;
+use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -89,16 +90,20 @@ impl Learner {
     }
 
     /// Adds the frames of one stamp with the localizer's result. A frame counts only if its pose is determined and
-    /// tracked, if the next frame agrees, and if the robot is not lost soon after.
+    /// tracked, if the next frame agrees, and if the robot is not lost soon after. A scan that takes time counts in its
+    /// middle ([`Frame::at_one_moment`]), by the motion of the localizer.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Usage`] if the world differs from that of earlier frames.
+    /// [`presight_model::ErrorKind::Usage`] if the world differs from that of earlier frames; the errors of
+    /// [`Frame::deskewed`].
     pub fn observe(&mut self, world: &World, step: &Step, frames: &[&Frame]) -> Result<()> {
         let is_searching = step.phase == Phase::Candidates && !step.candidates.is_empty();
         match step.phase {
             Phase::Tracking if step.estimate.is_determined() => {
-                let features = self.features(world, step, frames);
-                return self.observe_with(world, frames, &step.pose, features);
+                let moving: Vec<Cow<'_, Frame>> = frames.iter().map(|frame| step.moving(frame)).collect();
+                let frames: Vec<&Frame> = moving.iter().map(|frame| &**frame).collect();
+                let features = self.features(world, step, &frames)?;
+                return self.observe_with(world, &frames, &step.pose, features);
             }
             Phase::Tracking | Phase::Candidates if !is_searching => {}
             // The robot was not where its estimate had it: views that are not believed yet are wrong.
@@ -109,26 +114,29 @@ impl Learner {
     }
 
     /// The features that the frames of a step show.
-    fn features(&mut self, world: &World, step: &Step, frames: &[&Frame]) -> Vec<FeatureViews> {
+    fn features(&mut self, world: &World, step: &Step, frames: &[&Frame]) -> Result<Vec<FeatureViews>> {
         let searched = || frames.iter().filter(|frame| frame.grey().is_some() || frame.intensities().is_some());
         searched().for_each(|frame| self.knowledge.prepare(world, &frame.sensor().spec().class));
         let found = &step.estimate.findings;
         if searched().count() != found.len() {
             // It is unknown which frame belongs to which findings.
-            return Vec::new();
+            return Ok(Vec::new());
         }
         let environment = &**world.environment();
         let of_frame = |(frame, found): (&&Frame, _)| {
             let known = KnownFeatures { environment, caster: &self.knowledge.casters[&frame.sensor().spec().class] };
-            features_in(frame, found, &step.pose, &known)
+            let moment = frame.at_one_moment()?;
+            Ok(features_in(&moment.frame, found, &moment.robot(&step.pose), &known))
         };
         searched().zip(found).map(of_frame).collect()
     }
 
-    /// As [`Learner::observe`], at a pose with a known covariance.
+    /// As [`Learner::observe`], at a pose with a known covariance at the stamp, and with the motion of each frame's own
+    /// scan ([`Frame::scan_motion`]).
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Usage`] if the world differs from that of earlier frames.
+    /// [`presight_model::ErrorKind::Usage`] if the world differs from that of earlier frames; the errors of
+    /// [`Frame::deskewed`].
     pub fn observe_at(&mut self, world: &World, frames: &[&Frame], pose: &PoseEstimate) -> Result<()> {
         self.observe_with(world, frames, pose, Vec::new())
     }
@@ -146,13 +154,17 @@ impl Learner {
         self.believe(self.knowledge.options.settle);
         let Some(stamp) = frames.first().map(|frame| frame.stamp) else { return Ok(()) };
         if self.drive.is_new_view(&pose.world_from_robot, stamp, &self.knowledge.options) {
-            frames.iter().filter(|frame| frame.grey().is_none()).for_each(|frame| self.add_view(world, frame, pose));
+            for frame in frames.iter().filter(|frame| frame.grey().is_none()) {
+                self.add_view(world, frame, pose)?;
+            }
             self.drive.end_views(pose.world_from_robot, stamp, features);
         }
         Ok(())
     }
 
-    fn add_view(&mut self, world: &World, frame: &Frame, pose: &PoseEstimate) {
+    fn add_view(&mut self, world: &World, frame: &Frame, pose: &PoseEstimate) -> Result<()> {
+        let (stamp, moment) = (frame.stamp, frame.at_one_moment()?);
+        let (frame, pose) = (&*moment.frame, &moment.robot(pose));
         let class = &frame.sensor().spec().class;
         self.knowledge.prepare(world, class);
         let options = self.knowledge.options;
@@ -166,10 +178,11 @@ impl Learner {
         let (caster, priors) = (&self.knowledge.casters[class], &self.knowledge.priors[class]);
         let observer = Observer { caster, priors, views: options.views };
         let (mut view, hits) = observer.view(frame, &pixels, pose);
-        view.drive = self.drive.number;
+        (view.drive, view.stamp) = (self.drive.number, stamp);
         let sums = ViewSums::of(&view, &hits, world.environment());
         self.tally.views += 1;
         self.tally.discarded += usize::from(self.drive.add(view, sums, options.views));
+        Ok(())
     }
 
     /// Believes the views since which the robot has driven at least `settle` metres.

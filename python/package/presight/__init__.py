@@ -29,6 +29,7 @@ from ._presight import (
     Layer,
     Localizer,
     Log,
+    Messages,
     Notice,
     Prediction,
     Predictor,
@@ -55,6 +56,7 @@ __all__ = [
     "Layer",
     "Localizer",
     "Log",
+    "Messages",
     "Notice",
     "Prediction",
     "Predictor",
@@ -90,6 +92,7 @@ def predict(
     pose_frame: str = "body",
     pose_of: str = "sensor",
     world_frame: str = "z-up",
+    twist: ArrayLike | None = None,
 ) -> Prediction:
     """Predicts what a sensor should see at a pose, as `Predictor.predict`, on a predictor that the process keeps.
 
@@ -98,5 +101,5 @@ def predict(
     laser-scanner 361 x 1, 100.0 % of rays hit at ...
     """
     return _predictor().predict(
-        scene, sensor, pose, outputs, layers, pose_cov, confidence, deadline_ms, pose_frame, pose_of, world_frame
+        scene, sensor, pose, outputs, layers, pose_cov, confidence, deadline_ms, pose_frame, pose_of, world_frame, twist
     )

@@ -35,15 +35,15 @@ impl Drive {
 
     /// The pose of `--init`; `None` for a word.
     fn given_start(&self) -> Result<Option<RobotPose>> {
-        match self.init.as_str() {
-            "unknown" | "reference" => Ok(None),
-            pose => parse_pose(pose).map(RobotPose::new).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
+        match self.init.as_deref() {
+            None | Some("unknown" | "reference") => Ok(None),
+            Some(pose) => parse_pose(pose).map(RobotPose::new).map(Some).map_err(|e| e.at(format!("--init {pose}"))),
         }
     }
 
     /// The start pose; `None` for `--init unknown`.
     pub(super) fn start(&self, first: &Observation) -> Result<Option<RobotPose>> {
-        if self.init != "reference" {
+        if self.init.as_deref() != Some("reference") {
             return self.given_start();
         }
         first.reference.map(Some).ok_or_else(|| {

@@ -52,7 +52,8 @@ pub fn write_files(
     let (sensor, images) = (&prediction.sensor, &prediction.images);
     if let (Some(path), Some(attributes)) = (&paths.out, attributes) {
         let (given_up, raster) = (prediction.degradation().cloned(), prediction.stats.raster);
-        let attributes = files::ExrAttributes { pose: Some(prediction.pose), given_up, raster, ..attributes };
+        let (pose, motion) = (Some(prediction.pose), prediction.request.motion.clone());
+        let attributes = files::ExrAttributes { pose, motion, given_up, raster, ..attributes };
         files::write_exr(path, images, args.outputs, &attributes)?;
     }
     if let Some(path) = &paths.png {
@@ -78,7 +79,9 @@ pub fn write_files(
             PointsFrameArg::Sensor => PointsFrame::Sensor,
             PointsFrameArg::World => PointsFrame::World,
         };
-        let cloud = PointCloud::new(images, sensor, &prediction.pose, frame)?.only(args.outputs);
+        let motion = prediction.request.motion.as_ref();
+        let cloud = PointCloud::of_scan(images, sensor, &prediction.pose, frame, motion, args.deskew)?;
+        let cloud = cloud.only(args.outputs);
         let cloud = match args.normals() {
             true if !args.outputs.has(Output::Normal) => {
                 cloud.with_normals(scene.world.environment(), args.scheme())?
@@ -99,6 +102,7 @@ pub fn attributes(args: &Args, scene: &Scene, sensor: &Sensor) -> Result<files::
     Ok(files::ExrAttributes {
         sensor: Some(files::sensor_to_toml(sensor.spec())),
         pose: None,
+        motion: None,
         scene: Some(args.scene.display().to_string()),
         scene_blake3: Some(blake3_of(&args.scene)?),
         scene_content: Some(scene.world.environment().content_hash().to_string()),

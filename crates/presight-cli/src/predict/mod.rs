@@ -1,5 +1,7 @@
 //! `presight predict`: the images of a sensor at one or more poses.
 
+#[cfg(feature = "ros")]
+mod bag;
 mod files;
 mod one;
 mod poses;
@@ -11,6 +13,9 @@ use crate::engine_args::{EngineArgs, WayArg};
 use crate::file_names::FileNames;
 use crate::frame_args::FrameArgs;
 use crate::layers::{LayerArgs, NamedRequest};
+use crate::motion_args::{MotionArgs, ScanMotions, meaning_of};
+#[cfg(feature = "ros")]
+use crate::output_bag::OutputBag;
 use crate::outputs::OutputFiles;
 use crate::pose::{PoseArgs, PoseOf};
 use crate::pose_series::Poses;
@@ -19,7 +24,7 @@ use crate::virtual_sensor::VirtualArgs;
 use crate::{CommandOutcome, open_scene_without, print};
 use clap::ValueEnum;
 use presight::files::{ImportOptions, load_robot};
-use presight::sensor::Geometry;
+use presight::sensor::{ExternalPose, Geometry};
 use presight::tools::{self, FrameMemory};
 use presight::{Error, IdScheme, Options, Output, Outputs, Predictor, Request, Result, Scene, Sensor, Threads};
 use presight_pictures as png;
@@ -49,6 +54,13 @@ const EXAMPLES: &str = "Examples:
     presight predict hall.glb --sensor realsense-d435 --poses drive.tum \\
       --outputs depth_z --npy depth.npy --png 'drive/{i:06}.png'
 
+  Scans along a trajectory as a ROS 2 bag for RViz and Foxglove:
+    presight predict hall.glb --sensor laser-scanner --poses drive.tum --mcap drive.mcap
+
+  A lidar on a robot that drives at 1.5 m/s and turns by 60 degrees/s, and its points put to the end of the scan:
+    presight predict hall.glb --sensor turning.toml --pose 0,0,1,0,0,0 --twist 1.5,0,0,0,0,60 \\
+      --points scan.ply --deskew 0.1
+
   Timing, and the stages that were skipped:
     presight predict hall.glb --sensor vlp-16 --pose 0,0,1,0,0,0 --repeat 50 --stats stats.json --explain";
 
@@ -77,6 +89,9 @@ pub struct Args {
 
     #[command(flatten)]
     pose: PoseArgs,
+
+    #[command(flatten)]
+    motion: MotionArgs,
 
     /// Predict at every pose of a file, one `timestamp tx ty tz qx qy qz qw` per line; - reads stdin
     #[arg(long, value_name = "FILE.tum|-", conflicts_with = "pose")]
@@ -138,6 +153,20 @@ pub struct Args {
     #[arg(long, value_name = "FILE.png")]
     depth_png: Option<PathBuf>,
 
+    /// Write a ROS 2 bag: /tf, /tf_static, and below the name of the sensor scan and points, or depth and camera_info
+    ///
+    /// A level scanner of one row gets LaserScan and PointCloud2, other scanners organized PointCloud2, with a field
+    /// for each requested image: echo (as intensity), object_id and polygon_id; cameras get 32FC1 and, for requested
+    /// ids, 32SC1. `presight replay --given` reads the bag back.
+    #[cfg(feature = "ros")]
+    #[arg(long, value_name = "OUT.mcap", requires = "poses")]
+    mcap: Option<PathBuf>,
+
+    /// The frame of the poses in the bag
+    #[cfg(feature = "ros")]
+    #[arg(long = "frame", value_name = "FRAME", default_value = "map", requires = "mcap")]
+    world_frame: String,
+
     /// Write the visible points as a point cloud; a device or pipe whose name has no ending gets PLY
     ///
     /// Points have a field for each requested image: range, echo (as intensity), object_id and polygon_id. They have
@@ -148,6 +177,10 @@ pub struct Args {
     /// The frame of the points
     #[arg(long, value_enum, default_value_t = PointsFrameArg::Sensor, requires = "points")]
     points_frame: PointsFrameArg,
+
+    /// Put the points of a moving scan into the frame of the sensor at this time, seconds after the stamp
+    #[arg(long, value_name = "SECONDS", requires = "points", allow_hyphen_values = true)]
+    deskew: Option<f64>,
 
     #[command(flatten)]
     frame: FrameArgs,
@@ -206,6 +239,8 @@ pub struct Job {
     pub poses: Poses,
     pub sensors: Vec<Sensor>,
     pub files: OutputFiles,
+    #[cfg(feature = "ros")]
+    pub bag: Option<OutputBag>,
     pub names: FileNames,
     pub import: ImportOptions,
     pub options: Options,
@@ -217,6 +252,7 @@ impl Args {
         self.virtual_sensor.check()?;
         self.deadline.check()?;
         self.check_series()?;
+        self.check_motion()?;
         let import = self.import_options()?;
         let mut files = OutputFiles::default();
         let names = self.names()?;
@@ -224,6 +260,8 @@ impl Args {
         names.add_to(&mut files, &poses.stamps(), &sensors)?;
         files.add("--stats", self.stats.as_deref(), &["json"])?;
         files.add("--costs", self.deadline.costs.as_deref(), &["json"])?;
+        #[cfg(feature = "ros")]
+        let bag = OutputBag::of("--mcap", self.mcap.as_deref(), &mut files)?;
         files.check_named(self.inputs())?;
         sensors.iter().try_for_each(|sensor| self.virtual_sensor.check_sensor(sensor))?;
         sensors.iter().try_for_each(|sensor| self.check_picture(sensor))?;
@@ -233,6 +271,8 @@ impl Args {
             poses,
             sensors,
             files,
+            #[cfg(feature = "ros")]
+            bag,
             names,
             import,
             options: self.engine.options(threads).with_reuse_visible(self.reuse_visible).with_way(self.way.way()),
@@ -268,6 +308,28 @@ impl Args {
         }
     }
 
+    /// Refuses what a moving sensor does not deliver yet.
+    fn check_motion(&self) -> Result<()> {
+        if self.deskew.is_some() && self.points_frame == PointsFrameArg::World {
+            return Err(Error::usage("--deskew: points in the world need no moment", "drop one of the two"));
+        }
+        if self.deskew.is_some_and(|seconds| !seconds.is_finite()) {
+            return Err(Error::usage("--deskew: the time is not finite", "give seconds after the stamp"));
+        }
+        let tells = self.layers.writes_something() || self.virtual_sensor.task.is_some();
+        if !self.motion.is_given() || !tells {
+            return Ok(());
+        }
+        let remedy = "predict images alone, or drop the motion";
+        Err(Error::usage("features and virtual sensors of a moving sensor: each ray has a pose of its own", remedy))
+    }
+
+    /// The motion during the scans of a sensor; `given` is the only pose, if there is one.
+    fn motions(&self, scene: &Scene, sensor: &Sensor, given: Option<&ExternalPose>) -> Result<ScanMotions> {
+        let of = if self.robot.is_some() { PoseOf::Robot } else { PoseOf::Sensor };
+        self.motion.motions(scene, sensor, given, meaning_of(&self.pose, of))
+    }
+
     fn names(&self) -> Result<FileNames> {
         let mask = self.virtual_sensor.mask.as_ref();
         let features = self.layers.features.as_ref();
@@ -280,7 +342,7 @@ impl Args {
     pub fn inputs(&self) -> impl Iterator<Item = &Path> {
         let sensor = self.sensor.as_deref().map(Path::new).or(self.robot.as_deref());
         let poses = self.pose_file();
-        let features = self.layers.inputs().chain(self.virtual_sensor.corridor.as_deref());
+        let features = self.layers.inputs().chain(self.virtual_sensor.corridor.as_deref()).chain(self.motion.inputs());
         [self.scene.as_path()].into_iter().chain(sensor).chain(poses).chain(features)
     }
 
@@ -288,9 +350,10 @@ impl Args {
         let Some(robot) = &self.robot else {
             return Ok(vec![self.image.load(self.sensor.as_deref().unwrap_or_default())?]);
         };
-        if self.image.rectified {
-            let remedy = "write rectified = true at its sensors in the robot file";
-            return Err(Error::usage("--rectified: --robot names several sensors", remedy));
+        let flags = [(self.image.rectified, "rectified"), (self.image.destagger, "destagger")];
+        if let Some((_, name)) = flags.into_iter().find(|(given, _)| *given) {
+            let remedy = format!("write {name} = true at its sensors in the robot file");
+            return Err(Error::usage(format!("--{name}: --robot names several sensors"), remedy));
         }
         let (robot, notices) = load_robot(robot)?;
         print::notices(&notices);
@@ -336,6 +399,14 @@ impl Args {
         open_scene_without(&self.scene, import, self.index.tuned(), &self.exclude)
     }
 
+    /// Returns true if a ROS 2 bag is written.
+    pub fn writes_bag(&self) -> bool {
+        #[cfg(feature = "ros")]
+        return self.mcap.is_some();
+        #[cfg(not(feature = "ros"))]
+        false
+    }
+
     /// Returns true if EXR files are written.
     pub fn writes_exr(&self) -> bool {
         self.out.is_some()
@@ -371,8 +442,11 @@ impl Args {
         }
         wanted.extend(self.layers.needs(self.asked()));
         wanted.extend(self.virtual_sensor.outputs().iter());
-        if self.points.is_some() {
+        if self.points.is_some() || self.writes_bag() && !sensor.is_camera() {
             wanted.push(Output::Range);
+        }
+        if self.writes_bag() && sensor.is_camera() {
+            wanted.push(Output::DepthZ);
         }
         if wanted.contains(&Output::DepthZ) && !sensor.is_camera() {
             let what = format!("depth_z: sensor {:?} is not a camera and has no optical axis", sensor.spec().name);
@@ -406,7 +480,9 @@ impl Args {
             picture: u64::from(picture.0) * u64::from(picture.1),
             depth_png: self.depth_png.is_some(),
             // Bytes per point: a position in f64, and a normal in f32.
-            points: self.points.as_ref().map_or(0, |_| 24 + if self.normals() { 12 } else { 0 }),
+            // A point of a bag has up to 30 bytes beside its position, and is encoded once more.
+            points: self.points.as_ref().map_or(0, |_| 24 + if self.normals() { 12 } else { 0 })
+                + if self.writes_bag() { 84 } else { 0 },
             reading: self.virtual_sensor.bytes_by_pixel(self.layers.writes_something()),
         }
     }
@@ -424,7 +500,7 @@ impl Args {
         let files = [&self.out, &self.png, &self.depth_png, &self.points, &self.stats];
         let tells = self.layers.writes_something() || self.virtual_sensor.task.is_some();
         let arrays = self.npy.is_some() || self.rays.is_some();
-        self.explain || tells || arrays || files.iter().any(|f| f.is_some())
+        self.explain || tells || arrays || self.writes_bag() || files.iter().any(|f| f.is_some())
     }
 }
 

@@ -29,7 +29,9 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         layers.move_to(&given, &sensor, &pose, &scene);
         sensor.check_projection().map_err(|e| e.in_file(args.sensor.as_deref().unwrap_or_default()))?;
     }
-    let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request));
+    let mut request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request));
+    let motions = args.motions(&scene, &sensor, Some(&given))?;
+    request.motion = motions.at(&sensor, args.motion.stamp()?)?;
     let settings = args.virtual_sensor.settings(&scene, &sensor, &pose, &mut predictor)?;
     // Check again: the scene has taken some of the memory.
     tools::require_memory(frame.bytes())?;

@@ -1,9 +1,14 @@
 //! `presight predict --poses` and `--robot`: many predictions in one world, with one predictor.
 
+#[cfg(feature = "ros")]
+use super::bag;
 use super::files::{Shown, attributes, write_files};
 use super::{Args, Job};
 use crate::file_names::{FileNames, Paths};
 use crate::layers::Layers;
+use crate::motion_args::ScanMotions;
+#[cfg(feature = "ros")]
+use crate::output_bag::OutputBag;
 use crate::overlap::{make_and_write, make_then_write};
 use crate::pose_series::{NamedPose, Poses, no_poses};
 use crate::series::SeriesProgress;
@@ -46,6 +51,8 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let poses = std::mem::replace(&mut job.poses, Poses::Given(Vec::new()));
     let series = Series { args, scene: &scene, names: &job.names };
     let (mut progress, mut stacks) = series.progress(&setups, poses.given())?;
+    #[cfg(feature = "ros")]
+    let mut bag = job.bag.take();
     let bar = bar::bar(poses.given().len() as u64);
     let (mut all, mut incomplete, mut empty) = (0, 0, 0);
     let first = progress.as_ref().map_or(0, SeriesProgress::next);
@@ -56,7 +63,10 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let make = |item: Result<(usize, NamedPose)>, spare: Option<Frames>| {
         let (index, (stamp, pose)) = item?;
         let mut spare = spare.into_iter().flat_map(|spare| spare.frames);
-        let mut make = |setup| series.predict(&mut predictor, setup, &pose, spare.next().map(|frame| frame.prediction));
+        let mut make = |setup| {
+            let spare = spare.next().map(|frame| frame.prediction);
+            series.predict(&mut predictor, setup, (&stamp, &pose), spare)
+        };
         let frames = setups.iter_mut().map(&mut make).collect::<Result<Vec<Frame>>>()?;
         print::notices(frames.iter().flat_map(|frame| &frame.prediction.stats.notices));
         all += frames.len();
@@ -71,6 +81,13 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         let stacks = stacks.iter_mut().map(Some).chain(std::iter::repeat_with(|| None));
         let Frames { index, stamp, frames } = made;
         frames.iter().zip(stacks).try_for_each(|(frame, stacks)| series.write(frame, stacks, (*index, stamp)))?;
+        #[cfg(feature = "ros")]
+        if let Some(output) = &mut bag {
+            for (k, frame) in frames.iter().enumerate() {
+                // The robot has one pose, whatever its sensors.
+                output.add(bag::records(args, &frame.prediction, stamp, (*index == 0, k == 0))?)?;
+            }
+        }
         bar.set_position(*index as u64 + 1);
         progress.as_mut().map_or(Ok(()), |progress| progress.append(*index, &format!("{index}\n")))
     };
@@ -81,6 +98,8 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     }
     args.deadline().write_costs(&predictor)?;
     stacks.into_iter().flatten().try_for_each(|(_, stack)| stack.finish())?;
+    #[cfg(feature = "ros")]
+    bag.iter_mut().try_for_each(OutputBag::finish)?;
     progress.map_or(Ok(()), SeriesProgress::remove)?;
     bar.finish_and_clear();
     Ok(CommandOutcome::Done)
@@ -103,6 +122,7 @@ struct Setup {
     request: Request,
     layers: Option<Layers>,
     attributes: Option<files::ExrAttributes>,
+    motions: ScanMotions,
 }
 
 impl Setup {
@@ -112,7 +132,8 @@ impl Setup {
             sensor.check_projection().map_err(|e| e.at(&sensor.spec().name))?;
         }
         let attributes = args.writes_exr().then(|| attributes(args, scene, &sensor)).transpose()?;
-        Ok(Self { sensor, request, layers, attributes })
+        let motions = args.motions(scene, &sensor, None)?;
+        Ok(Self { sensor, request, layers, attributes, motions })
     }
 }
 
@@ -169,6 +190,8 @@ impl Series<'_> {
             stacks.push(of_setup);
         }
         let stacked = self.names.are_stacked();
+        // A bag holds all poses, and is written anew.
+        let kept = kept && !self.args.writes_bag();
         let are_there = |setup: &Setup, i| {
             let paths = || self.paths(&setup.sensor, i, &poses[i].0);
             until.is_some_and(|until| paths().is_ok_and(|paths| paths.are_there(stacked, until)))
@@ -194,6 +217,7 @@ impl Series<'_> {
             hasher.update(files::sensor_to_toml(setup.sensor.spec()).as_bytes());
         }
         let files = self.args.layers().inputs().chain(self.args.virtual_sensor().corridor.as_deref());
+        let files = files.chain(self.args.motion.inputs());
         for file in files {
             hasher.update(blake3_of(file)?.as_bytes());
         }
@@ -205,16 +229,17 @@ impl Series<'_> {
         &self,
         predictor: &mut Predictor,
         setup: &mut Setup,
-        given: &ExternalPose,
+        (stamp, given): (&str, &ExternalPose),
         spare: Option<Prediction>,
     ) -> Result<Frame> {
         let Self { args, scene, .. } = *self;
-        let Setup { sensor, request, layers, attributes } = setup;
+        let Setup { sensor, request, layers, attributes, motions } = setup;
         let pose = given.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
         if let Some(layers) = layers {
             layers.move_to(given, sensor, &pose, scene);
         }
-        let request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request.clone()));
+        let mut request = layers.as_ref().map_or(request.clone(), |layers| layers.add_to(request.clone()));
+        request.motion = motions.at(sensor, if stamp.is_empty() { args.motion.stamp()? } else { seconds(stamp)? })?;
         let settings = args.virtual_sensor().settings(scene, sensor, &pose, predictor)?;
         let start = Instant::now();
         let predicted = match spare {
@@ -265,6 +290,12 @@ impl Series<'_> {
         let summary = Summary::of(prediction, objects_in(self.scene.world.environment()));
         print::lines([format!("{index}: {}, {ms:.2} ms on {engine}", summary.in_words(prediction))])
     }
+}
+
+/// The stamp of a scan as written in the file of poses.
+fn seconds(stamp: &str) -> Result<f64> {
+    let what = || Error::invalid(format!("a stamp of {stamp:?}"), "give seconds");
+    stamp.parse().map_err(|_| what())
 }
 
 /// The path of the record of finished poses, in the folder of the first file.

@@ -1,30 +1,50 @@
 //! `presight update`: differences between site and model, as changes.
 
+#[cfg(feature = "ros")]
+mod bag;
 mod known;
 mod looks;
 mod page;
 mod store_of;
 
-use super::drive::Drive;
+#[cfg(feature = "ros")]
+use super::compared_bag::ComparedBag;
+use super::drive::{Drive, Sensed};
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, print};
 use glam::DVec3;
 use known::KnownArgs;
 use looks::{Questions, look_from};
-use page::Page;
-use presight::files::{self, StampedPose};
+use page::{FrameKey, Page};
+use presight::files::{self, Observation, StampedPose};
 use presight::localize::Phase;
 #[cfg(feature = "report")]
 use presight::localize::Step;
-use presight::measured::Frame;
+use presight::measured::{Frame, ScanMotion};
 use presight::store::ProposedChange;
 use presight::tools::{create_folder, write_atomically};
 use presight::update::{Action, Finding, FindingKind, LearnOptions, Learner, Policy, SiteFindings};
 use presight::{Error, InWorld, PoseCovariance, PoseEstimate, Result, RobotPose, Scene, World};
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use store_of::{Claim, apply, version_of};
+
+/// This build writes no bags.
+#[cfg(not(feature = "ros"))]
+enum ComparedBag {}
+
+#[cfg(not(feature = "ros"))]
+impl ComparedBag {
+    fn step(&mut self, _: &Scene, _: &Sensed<'_>, _: &presight::localize::Step) -> Result<()> {
+        match *self {}
+    }
+
+    fn given(&mut self, _: &Scene, _: &Sensed<'_>, _: &PoseEstimate, _: f64) -> Result<()> {
+        match *self {}
+    }
+}
 
 const EXAMPLES: &str = "Examples:
   PlannedView, then apply:
@@ -32,7 +52,7 @@ const EXAMPLES: &str = "Examples:
     presight env apply site.presight found/changes.jsonl
 
   With poses from elsewhere, known to 5 mm and 0.1 degrees:
-    presight update run.jsonl --map site.presight --init reference --poses run.tum \
+    presight update run.jsonl --map site.presight --poses run.tum \
     --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found
 
   New things whose shapes are known, as meshes:
@@ -74,6 +94,14 @@ pub struct Args {
     /// Write changes.jsonl, index.html and its pictures into this folder
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+
+    /// Write a ROS 2 bag: what `replay --mcap` writes, and each finding on /presight/findings
+    ///
+    /// Boxes are red around what is gone, blue around what moved, with an arrow, green around what is new, and yellow
+    /// around what is doubtful.
+    #[cfg(feature = "ros")]
+    #[arg(long, value_name = "OUT.mcap")]
+    mcap: Option<PathBuf>,
 
     /// Apply the changes to the store
     #[arg(long)]
@@ -144,12 +172,19 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let notice = format!("evidence on {left_out} objects is left out, because they moved or are gone since");
         print::notices(&(left_out > 0).then_some(notice));
     }
-    let stamp = learn(&drives, &scene, &mut learner, known.as_ref())?;
+    #[cfg(feature = "ros")]
+    let mut compared = bag::open(args)?;
+    #[cfg(not(feature = "ros"))]
+    let mut compared = None;
+    let seen = learn(&drives, &scene, &mut learner, known.as_ref(), compared.as_mut())?;
+    let stamp = seen.last;
     create_folder(&args.out)?;
     let mut findings = learner.findings(&scene.world);
     recognizers.improve(&mut learner, &scene.world, &mut findings);
     let utc = args.time.unwrap_or(0.0);
     let utc = if stamp > 1e9 { 0.0 } else { utc };
+    #[cfg(feature = "ros")]
+    compared.as_mut().map_or(Ok(()), |compared| bag::conclude(compared, &scene, &findings))?;
     let changes = learner.changes(&findings, &scene.world, (&version.base, utc), &policy)?;
     let changes_file = args.out.join("changes.jsonl");
     write_changes(&changes_file, &changes)?;
@@ -158,7 +193,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let summary = summary(&learner, &findings, shares);
     let questions = Questions::of(&mut learner, &scene.world, &findings, &policy);
     write_atomically(&args.out.join("doubts.jsonl"), |file| file.write_all(questions.lines(&findings).as_bytes()))?;
-    let page = Page { args, drives: &drives, scene: &scene, findings: &findings, summary: &summary };
+    let motions = &seen.motions;
+    let page = Page { args, drives: &drives, motions, scene: &scene, findings: &findings, summary: &summary };
     page.write(&args.out)?;
     let count = changes.len();
     let (applied, waiting) =
@@ -201,22 +237,48 @@ fn drives(args: &Args) -> Result<Vec<Drive>> {
     Ok(logs.map(|log| args.drive.with_log(log)).collect())
 }
 
-/// Learns from all drives. Returns the last stamp, seconds.
-fn learn(drives: &[Drive], scene: &Scene, learner: &mut Learner, known: Option<&Known>) -> Result<f64> {
-    let mut stamp = 0.0f64;
+/// What a run saw of its frames.
+#[derive(Default)]
+struct Seen {
+    /// The last stamp, seconds.
+    last: f64,
+    /// Number of the drive.
+    drive: usize,
+    /// The motion during each scan that takes time, with which the page shows it.
+    motions: BTreeMap<FrameKey, ScanMotion>,
+}
+
+impl Seen {
+    fn add(&mut self, frame: &Frame) {
+        if let Some(motion) = frame.scan_motion().filter(|_| !frame.has_one_pose()) {
+            self.motions.insert(FrameKey::of(self.drive, frame), motion.clone());
+        }
+    }
+}
+
+/// Learns from all drives.
+fn learn(
+    drives: &[Drive],
+    scene: &Scene,
+    learner: &mut Learner,
+    known: Option<&Known>,
+    mut compared: Option<&mut ComparedBag>,
+) -> Result<Seen> {
+    let mut seen = Seen::default();
     for drive in drives {
         match known {
             Some((poses, covariance)) => {
                 for drive in drive.each_log() {
-                    follow_known(&drive, scene, learner, (poses, covariance), &mut stamp)?;
+                    follow_known(&drive, scene, learner, (poses, covariance), &mut seen, compared.as_deref_mut())?;
                     learner.end_log();
                 }
             }
-            None => follow(drive, learner, &mut stamp)?,
+            None => follow(drive, learner, &mut seen, compared.as_deref_mut())?,
         }
         learner.end_drive();
+        seen.drive += 1;
     }
-    Ok(stamp)
+    Ok(seen)
 }
 
 /// Writes changes as lines of `presight env apply`.
@@ -242,6 +304,8 @@ fn options(args: &Args) -> Result<LearnOptions> {
 fn check_files(args: &Args, drives: &[Drive]) -> Result<()> {
     let mut files = OutputFiles::default();
     files.add_folder(&args.out, &["index.html", "changes.jsonl", "doubts.jsonl"])?;
+    #[cfg(feature = "ros")]
+    files.add("--mcap", args.mcap.as_deref(), &["mcap"])?;
     args.evidence.iter().try_for_each(|path| files.add_any(path))?;
     let logs: Vec<PathBuf> = drives.iter().flat_map(Drive::each_log).map(|drive| drive.log).collect();
     let others = [args.poses.as_deref(), args.robot.as_deref()].into_iter().flatten();
@@ -258,12 +322,14 @@ fn known_poses(args: &Args) -> Result<Option<Known>> {
 }
 
 /// Learns from a drive that the localizer follows.
-fn follow(drive: &Drive, learner: &mut Learner, last: &mut f64) -> Result<()> {
+fn follow(drive: &Drive, learner: &mut Learner, seen: &mut Seen, mut compared: Option<&mut ComparedBag>) -> Result<()> {
     let mut is_tracked = false;
     drive.follow(OutputFiles::default(), None, |scene, sensed, step| {
-        *last = step.stamp;
+        seen.last = step.stamp;
+        compared.iter_mut().try_for_each(|bag| bag.step(scene, sensed, step))?;
         is_tracked |= step.phase == Phase::Tracking;
         let frames: Vec<&Frame> = std::iter::once(sensed.frame).chain(sensed.grey).chain(sensed.beside).collect();
+        frames.iter().for_each(|frame| seen.add(frame));
         learner.observe(&scene.world, step, &frames)
     })?;
     let log = drive.log.display();
@@ -273,21 +339,36 @@ fn follow(drive: &Drive, learner: &mut Learner, last: &mut f64) -> Result<()> {
     Ok(())
 }
 
-/// Learns from a drive with known poses. Frames without a pose at their stamp are left out.
+/// Maximum difference between the stamps of a frame and of its pose, seconds: writers round to milliseconds.
+const SAME_TIME_S: f64 = 1e-3;
+
+/// Learns from a drive with known poses. Frames without a pose at their stamp are left out; without any pose that is an
+/// error.
 fn follow_known(
     drive: &Drive,
     scene: &Scene,
     learner: &mut Learner,
     (poses, covariance): (&[StampedPose], &PoseCovariance<InWorld>),
-    last: &mut f64,
+    seen: &mut Seen,
+    mut compared: Option<&mut ComparedBag>,
 ) -> Result<()> {
-    let mut without = 0;
-    drive.read(scene, |scene, frame: &Frame, _| {
-        *last = frame.stamp;
+    let (mut without, mut with) = (0, 0);
+    let mut nearest = (f64::INFINITY, 0.0, 0.0);
+    drive.read(scene, Some(poses), |scene, Observation { frame, recorded, .. }| {
+        seen.last = frame.stamp;
+        seen.add(frame);
         let at = poses.iter().min_by(|a, b| (a.time - frame.stamp).abs().total_cmp(&(b.time - frame.stamp).abs()));
-        match at.filter(|stamped| (stamped.time - frame.stamp).abs() < 1e-3) {
+        if let Some(at) = at.filter(|at| (at.time - frame.stamp).abs() < nearest.0) {
+            nearest = ((at.time - frame.stamp).abs(), frame.stamp, at.time);
+        }
+        match at.filter(|stamped| (stamped.time - frame.stamp).abs() < SAME_TIME_S) {
             Some(at) => {
-                learner.observe_at(&scene.world, &[frame], &PoseEstimate::new(RobotPose::new(at.pose), *covariance))
+                with += 1;
+                let robot = PoseEstimate::new(RobotPose::new(at.pose), *covariance);
+                let sensed = Sensed { frame, grey: None, beside: &[], recorded: recorded.as_deref() };
+                let sigma = drive.options(frame.sensor()).model_sigma;
+                compared.iter_mut().try_for_each(|bag| bag.given(scene, &sensed, &robot, sigma))?;
+                learner.observe_at(&scene.world, &[frame], &robot)
             }
             None => {
                 without += 1;
@@ -295,6 +376,16 @@ fn follow_known(
             }
         }
     })?;
+    if with == 0 && without > 0 {
+        let (apart, frame, pose) = nearest;
+        let what = match apart.is_finite() {
+            true => {
+                format!("no frame has a pose of --poses: the nearest are {apart:.3} s apart ({frame} and {pose} s)")
+            }
+            false => "no frame has a pose of --poses, which is empty".to_owned(),
+        };
+        return Err(Error::invalid(what, "give poses with the stamps of the frames, in seconds").in_file(&drive.log));
+    }
     let log = drive.log.display();
     print::notices(&(without > 0).then(|| format!("{log}: {without} frames have no pose and are left out")));
     Ok(())

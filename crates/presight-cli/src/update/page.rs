@@ -4,7 +4,8 @@
 use super::looks::look_from;
 use super::{Args, Drive, describe};
 use glam::DVec3;
-use presight::measured::Frame;
+use presight::files::Observation;
+use presight::measured::{Frame, ScanMotion};
 use presight::tools::write_atomically;
 use presight::update::{BestView, DoubtfulObject, Finding, FindingKind, PlannedView, SiteFindings};
 use presight::{Backend, Change, Images, Options, Output, Outputs, Predictor, Result, Scene, Sensor, World};
@@ -19,17 +20,31 @@ const MAX_PICTURES: usize = 200;
 /// Maximum number of objects in doubt with pictures.
 const MAX_DOUBTS: usize = 60;
 
-/// Drive, sensor and stamp of a frame.
-type Key = (usize, String, u64);
+/// A frame of a run.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct FrameKey {
+    drive: usize,
+    sensor: String,
+    stamp_bits: u64,
+}
 
-fn key(view: &BestView) -> Key {
-    (view.drive, view.sensor.clone(), view.stamp.to_bits())
+impl FrameKey {
+    /// The key of a frame of the drive with this number.
+    pub fn of(drive: usize, frame: &Frame) -> Self {
+        Self { drive, sensor: frame.sensor().spec().name.clone(), stamp_bits: frame.stamp.to_bits() }
+    }
+
+    fn of_view(view: &BestView) -> Self {
+        Self { drive: view.drive, sensor: view.sensor.clone(), stamp_bits: view.stamp.to_bits() }
+    }
 }
 
 /// The content of the page.
 pub struct Page<'a> {
     pub args: &'a Args,
     pub drives: &'a [Drive],
+    /// The motion of the robot during each scan that takes time.
+    pub motions: &'a BTreeMap<FrameKey, ScanMotion>,
     pub scene: &'a Scene,
     pub findings: &'a SiteFindings,
     pub summary: &'a str,
@@ -50,7 +65,7 @@ impl Page<'_> {
         let mut sections =
             vec![Section { title: "All findings and doubts".into(), parts: vec![all], ..Section::default() }];
         for (number, finding) in self.findings.changes.iter().enumerate() {
-            let frame = finding.best_view.as_ref().and_then(|view| frames.get(&key(view)));
+            let frame = finding.best_view.as_ref().and_then(|view| frames.get(&FrameKey::of_view(view)));
             let text = describe(finding);
             let rest = text.split_once(": ").map_or(&*text, |(_, rest)| rest);
             let mut parts = Vec::new();
@@ -76,17 +91,19 @@ impl Page<'_> {
         write_atomically(&out.join("index.html"), |file| file.write_all(html.as_bytes()))
     }
 
-    /// The frames that show the findings, by drive, sensor and stamp.
-    fn frames(&self) -> Result<BTreeMap<Key, Frame>> {
+    /// The frames that show the findings, each at one moment.
+    fn frames(&self) -> Result<BTreeMap<FrameKey, Frame>> {
         let views = self.findings.changes.iter().take(MAX_PICTURES).filter_map(|finding| finding.best_view.as_ref());
-        let wanted: BTreeSet<Key> = views.map(key).collect();
+        let wanted: BTreeSet<FrameKey> = views.map(FrameKey::of_view).collect();
         let mut frames = BTreeMap::new();
-        for (number, drive) in self.drives.iter().enumerate().filter(|(n, _)| wanted.iter().any(|key| key.0 == *n)) {
+        for (number, drive) in self.drives.iter().enumerate().filter(|(n, _)| wanted.iter().any(|key| key.drive == *n))
+        {
             for drive in drive.each_log() {
-                drive.read(self.scene, |_, frame, _| {
-                    let key = (number, frame.sensor().spec().name.clone(), frame.stamp.to_bits());
+                drive.read(self.scene, None, |_, Observation { frame, .. }| {
+                    let key = FrameKey::of(number, frame);
                     if wanted.contains(&key) {
-                        frames.insert(key, frame.clone());
+                        let moving = self.motions.get(&key).map(|m| frame.clone().with_scan_motion(m.clone()));
+                        frames.insert(key, moving.unwrap_or_else(|| frame.clone()).at_one_moment()?.frame.into_owned());
                     }
                     Ok(())
                 })?;
@@ -145,7 +162,7 @@ impl Page<'_> {
             if wanted.is_empty() {
                 break;
             }
-            drive.read(self.scene, |_, frame, _| {
+            drive.read(self.scene, None, |_, Observation { frame, .. }| {
                 let sensor = frame.sensor();
                 if wanted.remove(&*sensor.spec().name) {
                     sensors.insert(sensor.spec().name.clone(), sensor.clone());

@@ -137,7 +137,7 @@ fn an_explored_store_gives_an_occupancy_grid() {
     let said = place.done("occupancy room.presight --cell 0.1 --out grid.yaml");
     assert!(said.contains("free") && said.contains("occupied"), "{said}");
     let yaml = fs::read_to_string(place.path("grid.yaml")).unwrap();
-    assert!(yaml.contains("image: grid.pgm\n") && yaml.contains("resolution: 0.1\n"), "{yaml}");
+    assert!(yaml.contains("image: \"grid.pgm\"\n") && yaml.contains("resolution: 0.1\n"), "{yaml}");
     assert!(fs::read(place.path("grid.pgm")).unwrap().starts_with(b"P5\n"));
 }
 

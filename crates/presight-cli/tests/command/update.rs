@@ -210,8 +210,15 @@ fn inputs_that_teach_nothing_are_named() {
     );
     place.write("late.tum", b"100 0 0 0 0 0 0 1\n");
     let done = place.run("update log/scans.jsonl --map map.presight --init reference --poses late.tum --pose-cov 0,0,0,0,0,0 --out found");
-    assert!(done.status == Some(0) && done.stderr.contains("24 frames have no pose"), "{done:?}");
-    assert!(changes(&place, "found").is_empty());
+    assert!(
+        done.status == Some(1) && done.stderr.contains("no frame has a pose of --poses: the nearest are "),
+        "{done:?}"
+    );
+    let without =
+        place.run("update log/scans.jsonl --map map.presight --poses late.tum --pose-cov 0,0,0,0,0,0 --out found");
+    assert_eq!((without.status, without.stderr), (done.status, done.stderr), "poses from elsewhere need no start");
+    let started = place.run("update log/scans.jsonl --map map.presight --out found");
+    assert!(started.status == Some(2) && started.stderr.contains("--init is missing"), "{started:?}");
 }
 
 /// By default changes are marks: the crate stays in the model, and so does the one that was moved, with a copy of it at its new

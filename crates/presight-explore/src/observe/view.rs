@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3, Vec3};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Aabb, Pose, SensorPose};
 use presight_model::measured::{Frame, Measurement};
-use presight_model::sensor::Sensor;
+use presight_model::sensor::{RayTimes, Sensor};
 use std::sync::Arc;
 
 /// A sensor with its rays. All views of the sensor share them.
@@ -22,6 +22,8 @@ struct Optics {
 pub struct View {
     /// Time stamp in the log, seconds.
     pub stamp: f64,
+    /// Time of the pose, seconds: the stamp, or the middle of a scan that takes time.
+    moment: f64,
     /// The sensor's pose.
     pub pose: SensorPose,
     /// Metres along each ray, row by row: infinite for a ray without a return, NaN without a measurement.
@@ -42,17 +44,20 @@ pub struct Views {
 }
 
 impl Views {
-    /// Adds a frame of ranges measured at a pose of the sensor.
+    /// Adds a frame of ranges, with the pose of the sensor at its stamp. A scan that takes time becomes the view from the
+    /// middle of the scan ([`Frame::at_one_moment`]).
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] for a pose that is not rigid; [`presight_model::ErrorKind::Invalid`] for a
-    /// grey image.
+    /// grey image; the errors of [`Frame::deskewed`].
     pub fn push(&mut self, frame: &Frame, pose: SensorPose) -> Result<()> {
-        let world_from_sensor = pose.world_from_sensor();
-        world_from_sensor.check()?;
+        pose.world_from_sensor().check()?;
         if frame.grey().is_some() {
             return Err(Error::invalid("a grey image shows no distances", "give a log of ranges or depths"));
         }
+        let (stamp, moment) = (frame.stamp, frame.at_one_moment()?);
+        let (frame, pose) = (&*moment.frame, moment.sensor(&pose));
+        let world_from_sensor = pose.world_from_sensor();
         if self.views.is_empty() {
             self.base = world_from_sensor.translation.round();
         }
@@ -64,7 +69,8 @@ impl Views {
         // An infinite range stays: that ray passed through free space.
         let hit = |r: &f32| if *r > 0.0 { *r } else { f32::NAN };
         let ranges = frame.ranges().iter().map(hit).collect();
-        self.views.push(View { stamp: frame.stamp, pose, ranges, optics, rotation, origin });
+        let moment = frame.stamp;
+        self.views.push(View { stamp, moment, pose, ranges, optics, rotation, origin });
         Ok(())
     }
 
@@ -163,9 +169,14 @@ impl View {
         &self.optics.sensor
     }
 
-    /// The measurement without its pose.
+    /// The measurement without its pose, at the time of the pose.
     pub(crate) fn frame(&self) -> Result<Frame> {
-        Frame::new(self.stamp, self.sensor().clone(), Measurement::Range(self.ranges.clone()))
+        let sensor = self.sensor();
+        let sensor = match &sensor.spec().times {
+            RayTimes::AtOnce => sensor.clone(),
+            _ => Sensor::new(sensor.spec().clone().with_times(RayTimes::AtOnce))?,
+        };
+        Frame::new(self.moment, sensor, Measurement::Range(self.ranges.clone()))
     }
 
     /// Columns of the image.

@@ -162,7 +162,7 @@ impl Group {
         let is_constrained = self.views.all().len() > 1 || step.estimate.weak.is_empty();
         let is_followed = matches!(step.phase, Phase::Tracking | Phase::Candidates) && step.estimate.is_determined();
         if is_constrained && is_followed && is_precise(&step.pose) {
-            self.push(frame, &step.pose)?;
+            self.push(&step.moving(frame), &step.pose)?;
             return Ok(Some(step.pose));
         }
         self.add_again(frame, by, options)
@@ -176,8 +176,10 @@ impl Group {
         options: &ExploreOptions,
     ) -> Result<Option<PoseEstimate>> {
         let Some(Model { world, localizer }) = &mut self.model else { return Ok(None) };
-        let Some(pose) = by.find(world, frame, self.found)? else { return Ok(None) };
-        *localizer = started(world, frame, pose.robot(), options)?;
+        let moment = frame.at_one_moment()?;
+        let Some(pose) = by.find(world, &moment.frame, self.found)? else { return Ok(None) };
+        *localizer = started(world, &moment.frame, pose.robot(), options)?;
+        let pose = moment.robot_at_stamp(&pose);
         self.push(frame, &pose)?;
         Ok(Some(pose))
     }
@@ -200,7 +202,7 @@ impl Group {
         let world = World::new(found.environment().clone());
         let localizer = match (self.model.take(), self.views.all().last()) {
             (Some(model), _) => model.localizer,
-            (None, Some(last)) => started(&world, &last.frame()?, RobotPose::new(self.found), options)?,
+            (None, Some(last)) => started(&world, &last.frame()?, RobotPose::new(robot_pose(last)), options)?,
             (None, None) => return Ok(()),
         };
         self.model = Some(Model { world, localizer });

@@ -102,6 +102,30 @@ fn what_nobody_saw_is_unknown() {
     assert_eq!(after.count(Cell::Unknown) - before.count(Cell::Unknown), 4);
 }
 
+/// A mark that an object is absent for all sensors takes it out of the grid; one for lasers alone does not.
+#[test]
+fn what_is_marked_absent_is_not_in_the_way() {
+    let (mut environment, options) = (empty(), GridOptions::default());
+    environment
+        .insert(NewObject::new(
+            "floor",
+            Pose::IDENTITY,
+            cuboid(Vec3::new(-2.0, -2.0, -0.1), Vec3::new(2.0, 2.0, 0.0)).into(),
+        ))
+        .unwrap();
+    let bare = Grid::of(&environment, &options.with_floor(Some(0.0))).unwrap();
+    let crate_mesh = cuboid(Vec3::new(0.2, 0.2, 0.0), Vec3::new(1.2, 1.2, 1.0));
+    environment.insert(NewObject::new("crate", Pose::IDENTITY, crate_mesh.into())).unwrap();
+    let mut with = |class: Option<&str>| {
+        let mark = Mark { object: "crate".into(), kind: MarkKind::Absent, class: class.map(Into::into), bounds: None };
+        environment.set_mark("gone", mark).unwrap();
+        Grid::of(&environment, &options.with_floor(Some(0.0))).unwrap()
+    };
+    assert!(with(Some("laser")).count(Cell::Occupied) > 0);
+    let absent = with(None);
+    assert_eq!((absent.cells, absent.origin), (bare.cells, bare.origin));
+}
+
 /// By the rules of map_server: p = (255 - grey) / 255 is occupied above 0.65, free below 0.196, unknown between.
 #[test]
 fn the_files_mean_what_map_server_reads() {
@@ -122,7 +146,7 @@ fn the_files_mean_what_map_server_reads() {
         assert_eq!(read(pixels[row * grid.width + column]), *cell);
     }
     let yaml = grid.yaml("hall.pgm");
-    for line in ["image: hall.pgm", "resolution: 0.05", "negate: 0", "mode: trinary", "free_thresh: 0.196"] {
+    for line in ["image: \"hall.pgm\"", "resolution: 0.05", "negate: 0", "mode: trinary", "free_thresh: 0.196"] {
         assert!(yaml.lines().any(|l| l == line), "{yaml}");
     }
 }

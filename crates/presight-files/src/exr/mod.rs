@@ -1,12 +1,15 @@
 //! Lossless OpenEXR images of a prediction: floats as FLOAT, ids as UINT, vectors as three FLOAT channels. Text
 //! attributes `presight:*` hold sensor, pose and scene.
 
+mod motion;
+
 use ::exr::image::{AnyChannel, AnyChannels, Blocks, Encoding, FlatSamples, Image, Layer};
 use ::exr::meta::attribute::{AttributeValue, LineOrder, Text};
 use ::exr::meta::header::LayerAttributes;
 use ::exr::prelude::{Compression, WritableImage};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::SensorPose;
+use presight_model::measured::ScanMotion;
 use presight_model::memory;
 use presight_model::printable::quoted;
 use presight_read::atomic::write_atomically;
@@ -26,6 +29,9 @@ pub struct Attributes {
     pub sensor: Option<String>,
     /// The sensor's pose, body axes. The file keeps every bit.
     pub pose: Option<SensorPose>,
+    /// How the robot moved during the scan, relative to its pose at the stamp; `None` if it stood. The file keeps every
+    /// bit.
+    pub motion: Option<ScanMotion>,
     /// The scene's path, as given.
     pub scene: Option<String>,
     /// BLAKE3 of the scene file, hexadecimal.
@@ -131,6 +137,7 @@ fn to_texts(attributes: &Attributes) -> Vec<(String, String)> {
     let mut texts = vec![("format", FORMAT.to_string())];
     texts.extend(attributes.sensor.clone().map(|t| ("sensor", t)));
     texts.extend(attributes.pose.map(|p| ("world_from_sensor", pose_to_text(&p.world_from_sensor()))));
+    texts.extend(attributes.motion.as_ref().map(|motion| ("motion", motion::to_text(motion))));
     texts.extend(attributes.scene.clone().map(|t| ("scene", t)));
     texts.extend(attributes.scene_blake3.clone().map(|t| ("scene_blake3", t)));
     texts.extend(attributes.scene_content.clone().map(|t| ("scene_content", t)));
@@ -250,6 +257,7 @@ impl Attributes {
             "format" => {}
             "sensor" => self.sensor = Some(text.to_owned()),
             "world_from_sensor" => self.pose = Some(SensorPose::new(pose_from_text(text)?)),
+            "motion" => self.motion = Some(motion::from_text(text)?),
             "scene" => self.scene = Some(text.to_owned()),
             "scene_blake3" => self.scene_blake3 = Some(text.to_owned()),
             "scene_content" => self.scene_content = Some(text.to_owned()),

@@ -36,6 +36,7 @@ fn images(width: u32, height: u32, outputs: Outputs) -> Images {
 fn attributes() -> Attributes {
     Attributes {
         sensor: Some("format = 1\nkind = \"camera\"\n".into()),
+        motion: Some(ScanMotion::Twist(presight_model::geometry::Twist::new(DVec3::X, DVec3::Z))),
         pose: Some(SensorPose::from_xyz_rpy(DVec3::new(5_000_000.123_456_789, -0.1, 1e-300), 0.1, 0.2, 3.0)),
         scene: Some("räume/hall.glb".into()),
         scene_blake3: Some("00ff".into()),

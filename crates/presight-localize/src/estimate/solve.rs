@@ -115,7 +115,8 @@ impl Estimator {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] without a frame, for a prior that is none, and for a grey image without
-    /// features to look for; those of [`Predictor::predict`].
+    /// features to look for; [`presight_model::ErrorKind::Invalid`] for a scan whose rays do not have one pose
+    /// ([`Frame::at_one_moment`]); the errors of [`Predictor::predict`].
     pub fn estimate(&mut self, world: &World, frames: &[&Frame], prior: &PoseEstimate) -> Result<Estimate> {
         // One hand-over to the threads: one for each part of it costs as much as the parts of a scan.
         let (threads, least) = (self.predictor.task_threads()?, self.options.least_explained);
@@ -234,6 +235,11 @@ impl Estimator {
         prior::check(prior, self.options.freedom)?;
         if frames.is_empty() {
             return Err(Error::usage("an estimate without a frame", "give at least one"));
+        }
+        if let Some(moving) = frames.iter().find(|frame| frame.grey().is_none() && !frame.has_one_pose()) {
+            let remedy = "give Frame::at_one_moment, or the scan to a localizer";
+            let e = Error::invalid("the rays of a scan do not have one pose", remedy);
+            return Err(e.at(format!("the frame at {} s", moving.stamp)));
         }
         let ranges: Vec<&Frame> = frames.iter().copied().filter(|f| f.grey().is_none()).collect();
         let is_looked_at = |f: &&Frame| f.grey().is_some() || has_reflectors(world, &self.features, f);

@@ -329,7 +329,7 @@ impl Localizer {
             (_, Some(hypotheses)) => State::Hypotheses(own, hypotheses),
             (_, None) => State::Following(own),
         };
-        Ok(Step { stamp: frame.stamp, phase, reason, pose, estimate, candidates: Vec::new(), odds: now, carried })
+        Ok(Step { carried, ..self.told(frame, reason, pose, estimate, now) })
     }
 }
 

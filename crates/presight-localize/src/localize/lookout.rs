@@ -281,8 +281,16 @@ impl Localizer {
         self.told(frame, why, pose, estimate, odds)
     }
 
-    fn told(&self, frame: &Frame, reason: String, pose: PoseEstimate, estimate: Estimate, odds: f64) -> Step {
+    pub(super) fn told(
+        &self,
+        frame: &Frame,
+        reason: String,
+        pose: PoseEstimate,
+        estimate: Estimate,
+        odds: f64,
+    ) -> Step {
         let (phase, stamp) = (self.phase, frame.stamp);
-        Step { stamp, phase, reason, pose, estimate, candidates: Vec::new(), odds, carried: false }
+        let (candidates, carried, scan_motion) = (Vec::new(), false, None);
+        Step { stamp, phase, reason, pose, estimate, candidates, odds, carried, scan_motion }
     }
 }

@@ -41,10 +41,10 @@ use crate::motion::{motion_between, moved};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::matrix::{add_to, restricted, sandwich, turn};
-use presight_model::measured::{Frame, Motion};
+use presight_model::measured::{Frame, Motion, ScanMotion};
 use presight_model::sensor::Sensor;
-
 use presight_model::world::World;
+use std::borrow::Cow;
 
 /// What a localizer knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,12 +90,23 @@ pub struct Step {
     pub odds: f64,
     /// True if the frame had no evidence for the pose, which was carried on by odometry or the last motion.
     pub carried: bool,
+    /// The motion of the robot during the scan, as the estimate has it; `None` if all rays are measured at once. With it
+    /// [`Step::moving`] and [`Frame::at_one_moment`] repeat what the localizer did with the frame.
+    pub scan_motion: Option<ScanMotion>,
 }
 
 impl Step {
     /// True if one pose is followed: it was given at the start, or it was found.
     pub fn is_known(&self) -> bool {
         self.phase == Phase::Tracking || (self.phase == Phase::Candidates && self.candidates.is_empty())
+    }
+
+    /// A frame of this step with the motion that was found for its scan, if it takes time.
+    pub fn moving<'a>(&self, frame: &'a Frame) -> Cow<'a, Frame> {
+        match &self.scan_motion {
+            Some(motion) if frame.deskewed_by().is_none() => Cow::Owned(frame.clone().with_scan_motion(motion.clone())),
+            _ => Cow::Borrowed(frame),
+        }
     }
 }
 

@@ -12,12 +12,13 @@ pub use surroundings::{Walkers, displace};
 use crate::motion::moved;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, PoseCovariance, RobotPose};
-use presight_model::measured::{Frame, GreyImage, Measurement, Motion, RangeNoise};
+use presight_model::measured::{Frame, GreyImage, Measurement, Motion, RangeNoise, ScanMotion};
 use presight_model::random::SplitMix64;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_predict::predict::Predictor;
-use presight_render::plan::{Images, Output, Outputs};
+use presight_predict::request::Request;
+use presight_render::plan::{Output, Outputs};
 
 presight_model::options! {
     /// Errors of a simulated sensor and its robot beyond the sensor's stated noise.
@@ -113,10 +114,26 @@ impl Simulator {
     /// # Errors
     /// Errors of [`Predictor::predict_images`], and a stamp that is not finite.
     pub fn frame(&mut self, world: &World, stamp: f64, robot: &RobotPose) -> Result<Frame> {
+        self.frame_in_motion(world, stamp, robot, None)
+    }
+
+    /// As [`Simulator::frame`], of a robot that moves while the sensor measures its rays: `motion` is relative to its pose
+    /// at the stamp. `None` if it stands. The frame does not tell the motion, as logs of robots do not.
+    ///
+    /// # Errors
+    /// Errors of [`Simulator::frame`]; [`presight_model::ErrorKind::Invalid`] if the motion does not reach over the scan.
+    pub fn frame_in_motion(
+        &mut self,
+        world: &World,
+        stamp: f64,
+        robot: &RobotPose,
+        motion: Option<&ScanMotion>,
+    ) -> Result<Frame> {
         let asked = [Output::Range, Output::CosIncidence, Output::Echo];
         let outputs = Outputs::of(&asked[..if self.intensities.is_some() { 3 } else { 2 }]);
-        let mut seen = Images::default();
-        self.predictor.predict_images(world, &self.sensor, &robot.sensor(&self.sensor), outputs, &mut seen)?;
+        let mut request = Request::of(outputs);
+        request.motion = motion.cloned();
+        let seen = self.predictor.predict(world, &self.sensor, &robot.sensor(&self.sensor), &request)?.images;
         let pixels = self.measure(&seen.range, &seen.cos_incidence);
         let ranges = pixels.iter().map(|p| p.range).collect();
         let mut frame = Frame::new(stamp, self.sensor.clone(), Measurement::Range(ranges))?;

@@ -24,14 +24,16 @@ use presight_predict::predict::Predictor;
 
 /// Compares a frame of ranges with what its sensor should measure from a robot at this pose.
 ///
-/// The sensor's mount leads from the robot to the sensor. A pixel is compared with all surfaces predicted within its
+/// The sensor's mount leads from the robot to the sensor. The pose is that of the frame's stamp; a scan that takes time
+/// is compared in its middle ([`Frame::at_one_moment`]), with a verdict for each pixel of that frame. A pixel is compared with all surfaces predicted within its
 /// uncertainty: the standard deviation of a range is `s^2 = s_z^2 + (z s_a tan i)^2 + (J C J' + P) / cos^2 i`, with s_z
 /// and s_a the sensor's noise, i the angle of incidence, C the covariance of the pose, and P that of the object's pose,
 /// from the feature layer of the sensor's class. Nearer than the nearest by 3.3 s is [`Verdict::Nearer`], farther than
 /// the farthest [`Verdict::Farther`].
 ///
 /// # Errors
-/// The errors of [`Predictor::predict_images`]; [`presight_model::ErrorKind::Invalid`] for an invalid covariance;
+/// The errors of [`Predictor::predict_images`] and [`Frame::deskewed`];
+/// [`presight_model::ErrorKind::Invalid`] for an invalid covariance;
 /// [`presight_model::ErrorKind::Usage`] for a grey image.
 pub fn of_frame(predictor: &mut Predictor, world: &World, frame: &Frame, robot: &PoseEstimate) -> Result<Verdicts> {
     of_coarse_model(predictor, world, frame, robot, 0.0)
@@ -53,7 +55,9 @@ pub fn of_coarse_model(
         return Err(Error::usage("verdicts on a grey image", "give a frame of ranges"));
     }
     robot.covariance.check().map_err(|e| e.at("the robot's pose"))?;
-    let (surfaces, pose) = (&mut Surfaces::default(), &robot.robot());
-    let expected = ExpectedImage::predict(predictor, world, surfaces, frame.sensor(), pose)?;
-    predictor.on_threads(|| judge(frame, &expected, robot, polygon_sigma))
+    let moment = frame.at_one_moment()?;
+    let (frame, robot) = (&*moment.frame, moment.robot(robot));
+    let surfaces = &mut Surfaces::default();
+    let expected = ExpectedImage::predict(predictor, world, surfaces, frame.sensor(), &robot.robot())?;
+    predictor.on_threads(|| judge(frame, &expected, &robot, polygon_sigma))
 }

@@ -194,6 +194,14 @@ impl Environment {
                 .is_none_or(|parts| self.lies_in(object, polygon, &parts))
     }
 
+    /// Object and polygon of all surfaces that stand in the way of a robot: deleted objects and what is marked as absent for
+    /// all sensors are left out.
+    pub fn present_polygons(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
+        let live = (0u32..).zip(self.objects()).filter(|(_, object)| !object.is_deleted());
+        live.flat_map(|(index, object)| (0..object.mesh.polygon_count() as u32).map(move |polygon| (index, polygon)))
+            .filter(|(object, polygon)| !self.is_absent(*object, *polygon, None))
+    }
+
     /// True if a point of the world on an object lies in a part that is marked as uncertain for a sensor class.
     pub fn is_uncertain(&self, object: u32, p_in_world: DVec3, class: &str) -> bool {
         if self.beliefs.marks.is_empty() {

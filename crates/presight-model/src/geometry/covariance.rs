@@ -243,6 +243,14 @@ impl PoseEstimate {
         RobotPose::new(self.world_from_robot)
     }
 
+    /// The pose after a known motion: `here_from_there` is the pose then, in the robot's frame now.
+    #[must_use]
+    pub fn after(&self, here_from_there: &Pose) -> Self {
+        let there = self.world_from_robot * *here_from_there;
+        let way = there.translation - self.world_from_robot.translation;
+        Self { world_from_robot: there, covariance: self.covariance.moved_by(way) }
+    }
+
     /// The covariance of the pose of a sensor with this mount (`robot_from_sensor`).
     pub fn sensor_covariance(&self, mount: &Pose) -> PoseCovariance<InWorld> {
         self.covariance.moved_by(self.world_from_robot.rotation * mount.translation)

@@ -31,6 +31,10 @@ impl Default for Pose {
     }
 }
 
+/// Largest deviation of a quaternion's length from 1: more is no rounding (tf2 has the same limit). Quaternions in another
+/// order or unit are often of another length.
+const MAX_LENGTH_OFF: f64 = 0.01;
+
 impl Pose {
     /// The identity.
     pub const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
@@ -39,16 +43,19 @@ impl Pose {
     ///
     /// # Errors
     /// [`ErrorKind::Usage`] on NaN, infinity, a translation beyond [`limits::MAX_COORDINATE`], or a quaternion
-    /// whose length is not finite or near 0.
+    /// whose length is off 1 by more than 1 %.
     pub fn new(translation: DVec3, rotation: DQuat) -> Result<Self> {
-        // A squared component that overflows makes the length infinite, and normalizing would not give a rotation.
-        let length = rotation.length();
         let near = translation.is_finite() && translation.abs().max_element() <= limits::MAX_COORDINATE;
-        if !(near && length > 1e-6 && length.is_finite()) {
+        if !near {
             return Err(Error::usage(
-                format!("a pose must be within {:e} m and its quaternion must have a length", limits::MAX_COORDINATE),
-                "give x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw",
+                format!("a pose must be within {:e} m", limits::MAX_COORDINATE),
+                "give x,y,z,roll_deg,pitch_deg,yaw_deg or x,y,z,qx,qy,qz,qw, in metres",
             ));
+        }
+        let length = rotation.length();
+        if !((length - 1.0).abs() <= MAX_LENGTH_OFF) {
+            let what = format!("a quaternion of length {length:.6}, not 1");
+            return Err(Error::usage(what, "give qx,qy,qz,qw in this order, divided by the length"));
         }
         Ok(Self { rotation: rotation.normalize(), translation })
     }
@@ -238,7 +245,11 @@ mod tests {
     #[test]
     fn nan_is_refused() {
         assert!(Pose::new(DVec3::NAN, DQuat::IDENTITY).is_err());
-        assert!(Pose::new(DVec3::ZERO, DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0)).is_err());
+        for w in [0.0, 2.0, 0.98, 1e200, f64::INFINITY] {
+            let e = Pose::new(DVec3::ZERO, DQuat::from_xyzw(0.0, 0.0, 0.0, w)).unwrap_err();
+            assert!(e.to_string().contains("quaternion of length"), "{e}");
+        }
+        assert!(Pose::new(DVec3::ZERO, DQuat::from_xyzw(0.0, 0.0, 0.0, 0.995)).is_ok());
     }
 
     proptest! {

@@ -31,6 +31,17 @@ impl Twist {
         Self { linear, angular }
     }
 
+    /// From vx, vy, vz, wx, wy, wz, metres and radians per second, body axes.
+    pub fn from_array([vx, vy, vz, wx, wy, wz]: [f64; 6]) -> Self {
+        Self::new(DVec3::new(vx, vy, vz), DVec3::new(wx, wy, wz))
+    }
+
+    /// As vx, vy, vz, wx, wy, wz.
+    pub fn to_array(&self) -> [f64; 6] {
+        let (v, w) = (self.linear, self.angular);
+        [v.x, v.y, v.z, w.x, w.y, w.z]
+    }
+
     /// The pose after `seconds`, in the frame at the start: the exponential map of SE(3).
     pub fn over(&self, seconds: f64) -> Pose {
         let angles = self.angular * seconds;

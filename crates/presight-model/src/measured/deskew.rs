@@ -1,11 +1,12 @@
-//! What a scan measured while the robot moved, moved to one moment. Edges of near things are where this is not exact: other
-//! parts of a surface are hidden from the moment's pose than from that of each ray.
+//! What a scan measured while the robot moved, moved to one moment. Edges of near things are where this is not exact:
+//! other parts of a surface are hidden from the moment's pose than from that of each ray.
 
 use super::{Frame, Measurement, ScanMotion};
 use crate::error::{Error, Result};
-use crate::geometry::Pose;
+use crate::geometry::{Pose, PoseEstimate, SensorPose, Twist};
 use crate::sensor::{Geometry, RayTable, RayTimes, Sensor};
 use glam::{DQuat, DVec3};
+use std::borrow::Cow;
 use std::collections::HashMap;
 
 /// Relative difference of the ranges of two neighbours beyond which they do not lie on one surface: at the step of one
@@ -13,45 +14,122 @@ use std::collections::HashMap;
 const JUMP: f64 = 0.1;
 
 impl Frame {
-    /// True if all rays start at one point at one time, or if the frame was deskewed: one pose then holds for the frame.
+    /// True if all rays start at one point at one time, or if the frame was deskewed: one pose then holds for the
+    /// frame.
     pub fn has_one_pose(&self) -> bool {
         let sensor = self.sensor();
         let stands = self.scan_motion.as_ref().is_none_or(ScanMotion::is_still);
         self.deskewed_by.is_some() || (stands || sensor.spec().times.is_at_once()) && !sensor.has_origins()
     }
 
-    /// The frame as measured from one point at one moment, `seconds` after its stamp, which becomes the stamp. Each point
-    /// moves by the motion of the scan ([`Frame::with_scan_motion`]); without one the robot stands. Origins of rays beside
-    /// the sensor's own are accounted for. A scanner of one row keeps its directions and gets new ranges; other frames get
-    /// a ray for each of their points. A frame that [`Frame::has_one_pose`] and grey images only get the stamp.
+    /// The frame as measured from one point at one moment, `seconds` after its stamp, which becomes the stamp. Each
+    /// point moves by the motion of the scan ([`Frame::with_scan_motion`]); without one the robot stands. Origins of
+    /// rays beside the sensor's own are accounted for. A scanner of one row keeps its directions and gets new ranges;
+    /// other frames get a ray for each of their points. A frame that [`Frame::has_one_pose`] and grey images only get
+    /// the stamp.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the motion does not reach over the scan; [`crate::ErrorKind::System`] if there is
-    /// no memory for the new rays.
+    /// [`crate::ErrorKind::Invalid`] if the motion does not reach over the scan; [`crate::ErrorKind::System`] if there
+    /// is no memory for the new rays.
     pub fn deskewed(&self, seconds: f64) -> Result<Self> {
-        let still = ScanMotion::Twist(crate::geometry::Twist::default());
-        let motion = self.scan_motion.as_ref().unwrap_or(&still);
+        let motion = self.motion_or_still();
         if self.has_one_pose() || self.grey().is_some() {
             return Ok(Self { stamp: self.stamp + seconds, deskewed_by: Some(seconds), ..self.clone() });
         }
         let sensor = self.sensor();
-        let moves = SensorMoves::new(sensor, motion, seconds)?;
+        let moves = SensorMoves::new(sensor, &motion, seconds)?;
         let body = sensor.body_from_image();
         let width = sensor.width() as usize;
-        let point = |(i, range): (usize, &f32)| {
+        let moved = |(i, range): (usize, &f32)| {
             let (c, r) = ((i % width) as u32, (i / width) as u32);
-            let ray = sensor.ray(c, r).filter(|_| range.is_finite())?;
-            let p = sensor.origin(c, r) + body * (ray * f64::from(*range));
-            Some(body.transpose() * moves.of(c, r).transform_point(p))
+            let Some(ray) = sensor.ray(c, r) else { return Moved::NONE };
+            let (then_from_measured, ray) = (moves.of(c, r), body * ray);
+            if !range.is_finite() {
+                let ray = body.transpose() * (then_from_measured.rotation * ray);
+                return Moved { ray, range: f64::from(*range) };
+            }
+            let p = sensor.origin(c, r) + ray * f64::from(*range);
+            let p = body.transpose() * then_from_measured.transform_point(p);
+            Moved { ray: p.normalize(), range: p.length() }
         };
-        let points: Vec<Option<DVec3>> = self.ranges().iter().enumerate().map(point).collect();
+        let moved: Vec<Moved> = self.ranges().iter().enumerate().map(moved).collect();
         let is_row = sensor.height() == 1 && matches!(sensor.spec().geometry, Geometry::Scanner(_));
-        let mut still = if is_row { in_row(self, &points)? } else { with_own_rays(self, &points)? };
+        let mut still = if is_row { in_row(self, &moved)? } else { with_own_rays(self, &moved)? };
         (still.stamp, still.deskewed_by, still.motion) = (self.stamp + seconds, Some(seconds), self.motion);
         match self.intensities() {
             Some(intensities) => still.with_intensities(intensities.clone()),
             None => Ok(still),
         }
+    }
+
+    /// The frame as measured at one moment, in the middle of its scan, where an error of the motion does least; the
+    /// frame itself if it [`Frame::has_one_pose`]. A robot whose motion is unknown ([`Frame::scan_motion`]) counts as
+    /// standing.
+    ///
+    /// # Errors
+    /// Those of [`Frame::deskewed`].
+    pub fn at_one_moment(&self) -> Result<FrameAtMoment<'_>> {
+        if self.has_one_pose() || self.grey().is_some() {
+            return Ok(FrameAtMoment { frame: Cow::Borrowed(self), stamp_from_moment: Pose::IDENTITY });
+        }
+        let [first, last] = self.sensor().scan_interval();
+        let middle = 0.5 * (first + last);
+        let frame = Cow::Owned(self.deskewed(middle)?);
+        let stamp_from_moment = self.motion_or_still().at(middle).unwrap_or(Pose::IDENTITY);
+        Ok(FrameAtMoment { frame, stamp_from_moment })
+    }
+
+    fn motion_or_still(&self) -> Cow<'_, ScanMotion> {
+        let still = || Cow::Owned(ScanMotion::Twist(Twist::default()));
+        self.scan_motion.as_ref().map_or_else(still, Cow::Borrowed)
+    }
+}
+
+/// A frame with one pose: see [`Frame::at_one_moment`].
+#[derive(Clone, Debug)]
+pub struct FrameAtMoment<'a> {
+    /// The frame; its stamp is the moment.
+    pub frame: Cow<'a, Frame>,
+    /// The robot's pose at the moment, in its frame at the stamp of the scan.
+    pub stamp_from_moment: Pose,
+}
+
+impl FrameAtMoment<'_> {
+    /// The robot's pose at the moment, from its pose at the stamp of the scan.
+    pub fn robot(&self, at_stamp: &PoseEstimate) -> PoseEstimate {
+        // A frame with one pose changes no bit.
+        if self.stamp_from_moment == Pose::IDENTITY { *at_stamp } else { at_stamp.after(&self.stamp_from_moment) }
+    }
+
+    /// The robot's pose at the stamp of the scan, from its pose at the moment.
+    pub fn robot_at_stamp(&self, at_moment: &PoseEstimate) -> PoseEstimate {
+        at_moment.after(&self.stamp_from_moment.inverse())
+    }
+
+    /// The sensor's pose at the moment, from its pose at the stamp of the scan.
+    pub fn sensor(&self, at_stamp: &SensorPose) -> SensorPose {
+        if self.stamp_from_moment == Pose::IDENTITY {
+            return *at_stamp;
+        }
+        let mount = self.frame.sensor().spec().mount;
+        SensorPose::new(at_stamp.world_from_sensor() * mount.inverse() * self.stamp_from_moment * mount)
+    }
+}
+
+/// A measured ray, from the sensor's position at the moment to which it was moved.
+#[derive(Clone, Copy)]
+struct Moved {
+    /// Unit direction, image axes; NaN without a ray.
+    ray: DVec3,
+    /// Metres; an infinity or NaN without a point.
+    range: f64,
+}
+
+impl Moved {
+    const NONE: Self = Self { ray: DVec3::NAN, range: f64::NAN };
+
+    fn point(&self) -> Option<DVec3> {
+        self.range.is_finite().then(|| self.ray * self.range)
     }
 }
 
@@ -90,37 +168,53 @@ impl<'a> SensorMoves<'a> {
     }
 }
 
-/// Ranges along the scanner's own directions, where these meet the lines from each point to its neighbour.
-fn in_row(frame: &Frame, points: &[Option<DVec3>]) -> Result<Frame> {
+/// Ranges along the scanner's own directions, where these meet the lines from each point to its neighbour. Next to a
+/// ray without a return, and at the edge of a surface, the nearer neighbour counts.
+fn in_row(frame: &Frame, moved: &[Moved]) -> Result<Frame> {
     let sensor = frame.sensor();
-    let width = points.len();
+    let width = moved.len();
     let is_closed = sensor.distinct_columns() < sensor.width() || is_round(sensor);
-    let ray = |c: usize| sensor.ray(c as u32, 0);
-    let mut ranges: Vec<f32> = frame.ranges().iter().map(|r| if r.is_finite() { f32::NAN } else { *r }).collect();
+    let mut ranges = vec![f32::NAN; width];
     let pairs = if is_closed { width } else { width - 1 };
-    // A direction is met close to the column that has measured it.
-    let reach = 2 + width / 8;
     for i in 0..pairs {
-        let (Some(a), Some(b)) = (points[i], points[(i + 1) % width]) else { continue };
-        let on_one = (a.length() - b.length()).abs() <= JUMP * a.length().min(b.length());
-        for k in 0..=2 * reach {
-            let column = i as i64 + k as i64 - reach as i64;
-            let column = if is_closed { column.rem_euclid(width as i64) } else { column };
-            let Some(direction) = usize::try_from(column).ok().filter(|c| *c < width).and_then(ray) else { continue };
-            let Some(part) = meets(direction, a, b) else { continue };
-            let range = if on_one {
-                a.lerp(b, part).length()
-            } else if part < 0.5 {
-                a.length()
-            } else {
-                b.length()
+        let (from, to) = (moved[i], moved[(i + 1) % width]);
+        for column in columns_near(i, width, is_closed) {
+            let Some(ray) = sensor.ray(column as u32, 0) else { continue };
+            let Some(range) = range_between(ray, from, to) else { continue };
+            let slot = &mut ranges[column];
+            // The nearer one hides the other, and a point counts more than no return.
+            *slot = match (slot.is_finite(), range.is_finite()) {
+                (true, true) => slot.min(range),
+                (true, false) => *slot,
+                (false, _) if range.is_nan() => *slot,
+                (false, _) => range,
             };
-            let slot = &mut ranges[column as usize];
-            // The nearer one hides the other.
-            *slot = if slot.is_finite() { slot.min(range as f32) } else { range as f32 };
         }
     }
     Frame::new(frame.stamp, sensor.clone(), Measurement::Range(ranges))
+}
+
+/// Columns whose direction may lie between two neighbours that were measured in this column: a direction is met close
+/// to the column that has measured it.
+fn columns_near(i: usize, width: usize, is_closed: bool) -> impl Iterator<Item = usize> {
+    let (reach, width) = ((2 + width / 8) as i64, width as i64);
+    let column = move |k: i64| {
+        let column = i as i64 + k;
+        let column = if is_closed { column.rem_euclid(width) } else { column };
+        (0..width).contains(&column).then_some(column as usize)
+    };
+    (-reach..=reach).filter_map(column)
+}
+
+/// The reading of a direction between two neighbours; `None` if it does not lie between them.
+fn range_between(direction: DVec3, from: Moved, to: Moved) -> Option<f32> {
+    let nearer = |part: f64| if part < 0.5 { from.range } else { to.range } as f32;
+    let (Some(a), Some(b)) = (from.point(), to.point()) else {
+        return meets(direction, from.ray, to.ray).map(nearer);
+    };
+    let part = meets(direction, a, b)?;
+    let is_on_one = (from.range - to.range).abs() <= JUMP * from.range.min(to.range);
+    Some(if is_on_one { a.lerp(b, part).length() as f32 } else { nearer(part) })
 }
 
 /// True if the step from the last column leads to the first.
@@ -142,20 +236,15 @@ fn meets(direction: DVec3, a: DVec3, b: DVec3) -> Option<f64> {
     (ahead && to_a != to_b && (0.0..=1.0).contains(&part)).then_some(part)
 }
 
-/// A ray for each point.
-fn with_own_rays(frame: &Frame, points: &[Option<DVec3>]) -> Result<Frame> {
+/// A ray for each pixel, in the direction in which its point lies then.
+fn with_own_rays(frame: &Frame, moved: &[Moved]) -> Result<Frame> {
     let sensor = frame.sensor();
     let body = sensor.body_from_image();
-    let width = sensor.width() as usize;
-    let own = |i: usize| {
-        let ray = sensor.ray((i % width) as u32, (i / width) as u32);
-        points[i].map(DVec3::normalize).or(ray).map_or(DVec3::NAN, |ray| body * ray)
-    };
-    let table = RayTable::new(sensor.width(), sensor.height(), (0..points.len()).map(own).collect())?;
+    let rays = moved.iter().map(|moved| body * moved.ray).collect();
+    let table = RayTable::new(sensor.width(), sensor.height(), rays)?;
     let mut spec = sensor.spec().clone().with_geometry(Geometry::Rays(table));
     spec.optical_from_image = DQuat::IDENTITY;
-    let range = |(point, range): (&Option<DVec3>, &f32)| point.map_or(*range, |p| p.length() as f32);
-    let ranges = points.iter().zip(frame.ranges()).map(range).collect();
+    let ranges = moved.iter().map(|moved| moved.range as f32).collect();
     Frame::new(frame.stamp, Sensor::new(spec)?, Measurement::Range(ranges))
 }
 
@@ -174,8 +263,8 @@ mod tests {
         Sensor::new(spec.with_times(RayTimes::turning(turn_s, stamp))).unwrap()
     }
 
-    /// What the scanner reads in a room of 10 x 8 m with its middle at the origin, where the robot is `seconds` after the
-    /// stamp; column by column.
+    /// What the scanner reads in a room of 10 x 8 m with its middle at the origin, where the robot is `seconds` after
+    /// the stamp; column by column.
     fn turned(twist: &Twist, sensor: &Sensor, seconds: f64) -> Frame {
         let range = |c: u32| {
             let pose = twist.over(seconds).inverse() * twist.over(sensor.seconds_after_stamp(c, 0));
@@ -188,7 +277,8 @@ mod tests {
     }
 
     /// A robot at 1.5 m/s and 1 rad/s reads what one that stands reads, but for 5 mm on the walls, once its motion is
-    /// undone. Without that it is off by decimetres. A wrong sign doubles the error, and so does the wrong end of the scan.
+    /// undone. Without that it is off by decimetres. A wrong sign doubles the error, and so does the wrong end of the
+    /// scan.
     #[test]
     fn a_turn_is_undone_by_the_motion() {
         let driving = [(1.5, 1.0), (0.0, -1.0), (1.5, 0.0)];

@@ -7,15 +7,21 @@ mod deskew;
 mod grey;
 mod motion;
 mod noise;
+mod poses;
 mod range_grid;
+mod trajectory;
 
+pub use deskew::FrameAtMoment;
 pub use grey::GreyImage;
-pub use motion::ScanMotion;
+pub use motion::{MAX_POSE_GAP_S, ScanMotion};
 pub use noise::RangeNoise;
+pub use poses::ScanPoses;
 pub use range_grid::{RangeGrid, range_grid};
+pub use trajectory::Trajectory;
 
 use crate::error::{Error, Result};
 use crate::geometry::{InRobot, Pose, PoseCovariance};
+use crate::plausible;
 use crate::sensor::{Angles, Camera, Geometry, RayTable, RayTimes, Scanner, Sensor, SensorSpec};
 
 /// The values that a sensor measured, row by row.
@@ -120,13 +126,11 @@ impl Frame {
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if there is not one value for each pixel of the sensor, if the stamp is not
-    /// finite, or if depth is given for a sensor that is not a camera.
+    /// finite or not in seconds, or if depth is given for a sensor that is not a camera.
     pub fn new(stamp: f64, sensor: Sensor, measurement: Measurement) -> Result<Self> {
         let (width, height) = (sensor.width() as usize, sensor.height() as usize);
         let values = measurement.values();
-        if !stamp.is_finite() {
-            return Err(Error::invalid(format!("a time stamp of {stamp}"), "give finite seconds"));
-        }
+        plausible::check_stamp(stamp)?;
         if let Measurement::Grey(image) = &measurement {
             return Self::of_grey(stamp, sensor, image.clone());
         }

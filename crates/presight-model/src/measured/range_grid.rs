@@ -14,6 +14,21 @@ pub struct RangeGrid {
     pub table: RayTable,
     /// Metres; NaN for no reading.
     pub ranges: Vec<f32>,
+    /// The point of each pixel, as its index; `None` for a pixel without one.
+    pub points: Vec<Option<u32>>,
+}
+
+impl RangeGrid {
+    /// A number for each pixel: that of its point. A pixel without one has that of the first in its column, or else the
+    /// smallest of all; 0 if there is no point.
+    pub fn spread(&self, values: &[f32]) -> Vec<f32> {
+        let width = self.table.width() as usize;
+        let known = |point: &Option<u32>| point.map(|i| values[i as usize]);
+        let smallest = self.points.iter().filter_map(known).reduce(f32::min).unwrap_or_default();
+        let of_column = |c: usize| self.points[c..].iter().step_by(width).find_map(known).unwrap_or(smallest);
+        let columns: Vec<f32> = (0..width).map(of_column).collect();
+        self.points.iter().enumerate().map(|(i, point)| known(point).unwrap_or(columns[i % width])).collect()
+    }
 }
 
 /// Maximum number of comparisons of points to find their spacing.
@@ -32,25 +47,28 @@ pub fn range_grid(points: &[DVec3], size: Option<(u32, u32)>) -> Result<RangeGri
         // A point at the sensor has no direction.
         let ray = |p: &DVec3| if *p == DVec3::ZERO { DVec3::NAN } else { *p };
         let table = RayTable::new(width, height, points.iter().map(ray).collect())?;
-        return Ok(RangeGrid { table, ranges: points.iter().map(range).collect() });
+        let own = (0..).zip(points).map(|(i, p)| (p.length_squared() > 0.0).then_some(i)).collect();
+        return Ok(RangeGrid { table, ranges: points.iter().map(range).collect(), points: own });
     }
-    let seen = points.iter().filter(|p| p.length_squared() > 0.0);
-    let points: Vec<(Direction, DVec3)> = seen.map(|p| (Direction::of(*p), *p)).collect();
-    let directions: Vec<Direction> = points.iter().map(|(d, _)| *d).collect();
+    let seen = (0..).zip(points).filter(|(_, p)| p.length_squared() > 0.0);
+    let points: Vec<(Direction, DVec3, u32)> = seen.map(|(i, p)| (Direction::of(*p), *p, i)).collect();
+    let directions: Vec<Direction> = points.iter().map(|(d, ..)| *d).collect();
     let cells = Cells::of(&directions);
     let centres = (0..cells.rows).flat_map(|r| (0..cells.columns).map(move |c| (c, r)));
     let mut rays: Vec<DVec3> = centres.map(|(c, r)| cells.centre(c, r)).collect();
     let mut nearest = vec![f64::INFINITY; rays.len()];
     let mut ranges = vec![f32::NAN; rays.len()];
-    for (direction, point) in &points {
+    let mut own = vec![None; rays.len()];
+    for (direction, point, index) in &points {
         let (at, off) = cells.cell(*direction);
         if off < nearest[at] {
             nearest[at] = off;
             rays[at] = *point;
             ranges[at] = range(point);
+            own[at] = Some(*index);
         }
     }
-    Ok(RangeGrid { table: RayTable::new(cells.columns as u32, cells.rows as u32, rays)?, ranges })
+    Ok(RangeGrid { table: RayTable::new(cells.columns as u32, cells.rows as u32, rays)?, ranges, points: own })
 }
 
 /// Azimuth, counter-clockwise from x, and elevation, radians.
@@ -193,7 +211,10 @@ mod tests {
             let mut points = turning(columns, |c, r| (c * 7 + r * 3) % 11 == 0);
             // Some other order.
             points.sort_by(|a, b| (a.x * 1e3).fract().total_cmp(&(b.x * 1e3).fract()));
-            let RangeGrid { table, ranges } = range_grid(&points, None).unwrap();
+            let grid = range_grid(&points, None).unwrap();
+            let numbers: Vec<f32> = (0..points.len()).map(|i| i as f32).collect();
+            let spread = grid.spread(&numbers);
+            let RangeGrid { table, ranges, points: own } = grid;
             assert!(
                 table.width().abs_diff(width) <= 1 && table.height().abs_diff(40) <= 1,
                 "{} x {}",
@@ -204,6 +225,12 @@ mod tests {
             let seen: Vec<DVec3> = read.map(|(r, d)| f64::from(*r) * *d).collect();
             assert!(seen.len() as f64 > 0.97 * points.len() as f64, "{} of {}", seen.len(), points.len());
             assert!(seen.iter().all(|p| points.iter().any(|q| p.distance(*q) < 1e-6)));
+            for (i, point) in own.iter().enumerate() {
+                assert_eq!(point.is_some(), ranges[i].is_finite());
+                let Some(point) = *point else { continue };
+                let seen = f64::from(ranges[i]) * table.directions()[i];
+                assert!(seen.distance(points[point as usize]) < 1e-6 && spread[i] == numbers[point as usize]);
+            }
             assert!(table.directions().iter().all(|d| !d.is_nan()), "every pixel has a ray");
             let (middle, w) = (table.height() / 2 * table.width(), table.width() as usize);
             let row = &table.directions()[middle as usize..middle as usize + w];
@@ -237,7 +264,11 @@ mod tests {
     #[test]
     fn organized_clouds_keep_rows_and_columns() {
         let points = [DVec3::X, DVec3::new(2.0, 1.0, 0.0), DVec3::NAN, DVec3::ZERO];
-        let RangeGrid { table, ranges } = range_grid(&points, Some((2, 2))).unwrap();
+        let grid = range_grid(&points, Some((2, 2))).unwrap();
+        // Without a point: the number of the column, or else the smallest.
+        assert_eq!(grid.spread(&[0.3, 0.1, 7.0, 8.0]), [0.3, 0.1, 0.3, 0.1]);
+        let RangeGrid { table, ranges, points: own } = grid;
+        assert_eq!(own, [Some(0), Some(1), None, None]);
         assert_eq!((table.width(), table.height(), ranges[1]), (2, 2, 5f32.sqrt()));
         assert!(table.directions()[2].is_nan() && table.directions()[3].is_nan() && ranges[2].is_nan());
     }

@@ -1,5 +1,7 @@
 //! Sensors: image geometry, range limits, class and mount.
 
+mod beams;
+mod bundles;
 mod camera;
 mod cone_tree;
 mod direction_map;
@@ -19,6 +21,8 @@ mod scanner;
 mod times;
 mod undistort;
 
+pub use beams::BeamTable;
+pub use bundles::Bundles;
 pub use camera::Camera;
 pub use cone_tree::ConeTree;
 pub use direction_map::DirectionMap;
@@ -55,7 +59,7 @@ pub enum Geometry {
     Camera(Camera),
     /// Spherical (equiangular) image: azimuth by elevation.
     Scanner(Scanner),
-    /// Any set of rays from one centre.
+    /// Any set of rays, from one centre or each from its own point.
     Rays(RayTable),
 }
 
@@ -201,6 +205,8 @@ struct SensorData {
     directory: OnceLock<Directory>,
     /// Built on first use.
     tiles: OnceLock<RayTiles>,
+    /// Of a sensor that stands, and of one that moves; built on first use.
+    bundles: [OnceLock<Bundles>; 2],
 }
 
 impl Sensor {
@@ -227,7 +233,9 @@ impl Sensor {
         let (width, height) = spec.geometry.size();
         let projector = Projector::new(&spec);
         let (part, thinned, directory, tiles) = (None, Thinned::default(), OnceLock::new(), OnceLock::new());
-        Ok(Self(Arc::new(SensorData { spec, grid, projector, width, height, part, thinned, directory, tiles })))
+        let bundles = Default::default();
+        let data = SensorData { spec, grid, projector, width, height, part, thinned, directory, tiles, bundles };
+        Ok(Self(Arc::new(data)))
     }
 
     /// The specification from which the sensor was made.
@@ -292,13 +300,34 @@ impl Sensor {
         matches!(&self.0.spec.geometry, Geometry::Rays(table) if table.origins().is_some())
     }
 
-    /// Where the ray of a pixel starts: metres from the sensor's own origin, body axes.
+    /// The point from which the range of a pixel is measured: metres from the sensor's own origin, body axes.
     #[inline]
     pub fn origin(&self, column: u32, row: u32) -> DVec3 {
+        self.of_table(RayTable::origins, column, row)
+    }
+
+    /// The point at which the ray of a pixel leaves the sensor, [`RayTable::range_lead`] ahead of [`Sensor::origin`]:
+    /// metres from the sensor's own origin, body axes, with the same bits for all rays that share the point.
+    #[inline]
+    pub fn start(&self, column: u32, row: u32) -> DVec3 {
+        self.of_table(RayTable::starts, column, row)
+    }
+
+    /// Metres along each ray from [`Sensor::origin`] to [`Sensor::start`].
+    #[inline]
+    pub fn range_lead(&self) -> f64 {
         match &self.0.spec.geometry {
-            Geometry::Rays(table) => table.origins().map_or(DVec3::ZERO, |origins| {
+            Geometry::Rays(table) => table.range_lead(),
+            _ => 0.0,
+        }
+    }
+
+    #[inline]
+    fn of_table(&self, points: impl Fn(&RayTable) -> Option<&[DVec3]>, column: u32, row: u32) -> DVec3 {
+        match &self.0.spec.geometry {
+            Geometry::Rays(table) => points(table).map_or(DVec3::ZERO, |points| {
                 let (column, row) = (self.whole_column(column), row * self.part_stride());
-                origins[row as usize * table.width() as usize + column as usize]
+                points[row as usize * table.width() as usize + column as usize]
             }),
             _ => DVec3::ZERO,
         }
@@ -313,6 +342,19 @@ impl Sensor {
     /// Seconds from the stamp of a frame to its earliest ray and to its latest.
     pub fn scan_interval(&self) -> [f64; 2] {
         self.spec().times.interval(self.spec().geometry.size())
+    }
+
+    /// The rays in bundles of one origin, and of one time too if the sensor moves; built on the first call.
+    ///
+    /// # Errors
+    /// [`ErrorKind::System`] if there is no memory for them.
+    #[doc(hidden)]
+    pub fn bundles(&self, moves: bool) -> Result<&Bundles> {
+        let slot = &self.0.bundles[usize::from(moves)];
+        if slot.get().is_none() {
+            let _ = slot.set(Bundles::new(self, moves)?);
+        }
+        Ok(slot.get().expect("they were set"))
     }
 
     /// Arrangement of rays in tiles, without building any.

@@ -101,6 +101,7 @@ impl Sensor {
             part: Some(part),
             directory: OnceLock::new(),
             tiles: OnceLock::new(),
+            bundles: Default::default(),
             thinned: Thinned::default(),
         })))
     }

@@ -1,7 +1,8 @@
 //! Sensor presets, stored as the text of sensor files and read by the same reader as user files.
 //!
 //! Real multi-beam lidars have offset beam origins and staggered azimuths, and depth cameras have two imagers. A preset
-//! is the ideal grid with one centre. Its text names the source and the omissions. `preset` makes a sensor from one.
+//! is the ideal grid with one centre, but for those whose name ends in `-real`, which have the published beam table.
+//! Its text names the source and the omissions. `preset` makes a sensor from one.
 
 /// A named sensor with its text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,6 +21,10 @@ pub const PRESETS: &[Preset] = &[
     Preset { name: "laser-range-camera", toml: include_str!("presets/laser-range-camera.toml") },
     Preset { name: "laser-scanner", toml: include_str!("presets/laser-scanner.toml") },
     Preset { name: "vlp-16", toml: include_str!("presets/vlp-16.toml") },
+    Preset { name: "vlp-16-real", toml: include_str!("presets/vlp-16-real.toml") },
+    Preset { name: "vlp-32c-real", toml: include_str!("presets/vlp-32c-real.toml") },
     Preset { name: "os1-128", toml: include_str!("presets/os1-128.toml") },
+    Preset { name: "os1-128-real", toml: include_str!("presets/os1-128-real.toml") },
+    Preset { name: "mid-360-like", toml: include_str!("presets/mid-360-like.toml") },
     Preset { name: "realsense-d435", toml: include_str!("presets/realsense-d435.toml") },
 ];

@@ -1,5 +1,6 @@
 //! The rays of a sensor in compact tiles of up to 64, for the search in trees. Made once for each sensor.
 
+use super::bundles::{BundleNumbers, Bundles};
 use super::{Geometry, LineAxis, LineGrid, PixelGrid, Sensor};
 use crate::error::Result;
 use crate::memory;
@@ -62,6 +63,8 @@ pub struct RayTiles {
     block_starts: Vec<u32>,
     /// Pixels (row times width plus column) of the lanes of each group, for listed rays.
     listed: Vec<[u32; GROUP]>,
+    /// Bundle of each tile; empty if all rays are in one.
+    bundles: Vec<u32>,
 }
 
 /// Lines of a block where lanes lie across them.
@@ -100,7 +103,30 @@ impl RayTiles {
         Ok(match layout {
             GroupLayout::Listed => Self::listed_of(sensor),
             GroupLayout::Across => Self::across(sensor, size, groups),
-            GroupLayout::Along => Self::along(sensor, size, axis),
+            GroupLayout::Along => Self::along(sensor, size, axis, size[0].min(GROUPS)),
+        })
+    }
+
+    /// Tiles that each hold rays of one bundle.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::System`] if there is no memory for them.
+    pub(super) fn of_bundles(sensor: &Sensor, bundles: &Bundles) -> Result<Self> {
+        let rays = u64::from(sensor.width()) * u64::from(sensor.height());
+        let tiles = (bundles.len() as u64 + rays / (GROUP * GROUPS) as u64).min(rays);
+        memory::require(tiles * size_of::<RayTile>() as u64)?;
+        let (lines, axis) = match sensor.grid() {
+            PixelGrid::Lines(grid) => ([grid.lines().len(), grid.weights().len()], grid.axis()),
+            PixelGrid::Rays(grid) => ([grid.height() as usize, grid.width() as usize], LineAxis::Rows),
+        };
+        let is_table = matches!(sensor.spec().geometry, Geometry::Rays(_));
+        Ok(match (bundles.numbers(), axis) {
+            (BundleNumbers::Columns, LineAxis::Columns) | (BundleNumbers::Rows, LineAxis::Rows) if !is_table => {
+                let mut tiles = Self::along(sensor, lines, axis, 1);
+                tiles.bundles = tiles.tiles.iter().map(|tile| tile.places[0][0]).collect();
+                tiles
+            }
+            _ => Self::listed_in_bundles(sensor, bundles),
         })
     }
 
@@ -118,10 +144,14 @@ impl RayTiles {
 
     /// Tiles of some lines, which begin at a multiple of 8, and of 32 where lanes lie across lines.
     pub fn of_lines(&self, lines: Range<usize>) -> &[RayTile] {
+        &self.tiles[self.range_of_lines(lines)]
+    }
+
+    fn range_of_lines(&self, lines: Range<usize>) -> Range<usize> {
         debug_assert!(lines.start.is_multiple_of(self.lines_of_block));
         let block = |line: usize| line.div_ceil(self.lines_of_block).min(self.block_starts.len() - 1);
         let [first, end] = [block(lines.start), block(lines.end)].map(|block| self.block_starts[block] as usize);
-        &self.tiles[first..end]
+        first..end
     }
 
     /// Pixels of the lanes of a group of listed rays.
@@ -135,20 +165,31 @@ impl RayTiles {
         (size_of_val(&*self.tiles) + size_of_val(&*self.listed)) as u64
     }
 
-    fn empty(layout: GroupLayout, lines_of_block: usize) -> Self {
-        Self { tiles: Vec::new(), layout, lines_of_block, block_starts: vec![0], listed: Vec::new() }
+    /// Bundle of a tile: see [`Sensor::bundles`]. 0 if all rays are in one.
+    #[inline(always)]
+    pub fn bundle(&self, tile: usize) -> u32 {
+        self.bundles.get(tile).copied().unwrap_or(0)
     }
 
-    /// Squares of eight lines and eight samples, or, of few lines, stretches of them.
-    fn along(sensor: &Sensor, [lines, samples]: [usize; 2], axis: LineAxis) -> Self {
-        let mut all = Self::empty(GroupLayout::Along, GROUPS);
+    /// Number of the first tile of [`RayTiles::of_lines`].
+    pub fn first_of_lines(&self, lines: Range<usize>) -> usize {
+        self.range_of_lines(lines).start
+    }
+
+    fn empty(layout: GroupLayout, lines_of_block: usize) -> Self {
+        let (tiles, listed, bundles) = (Vec::new(), Vec::new(), Vec::new());
+        Self { tiles, layout, lines_of_block, block_starts: vec![0], listed, bundles }
+    }
+
+    /// Tiles of `tall` lines: squares of eight lines and eight samples, or stretches of fewer lines.
+    fn along(sensor: &Sensor, [lines, samples]: [usize; 2], axis: LineAxis, tall: usize) -> Self {
+        let mut all = Self::empty(GroupLayout::Along, if tall == 1 { 1 } else { GROUPS });
         let ray = |line: u32, sample: u32| match axis {
             LineAxis::Rows => sensor.ray(sample, line),
             LineAxis::Columns => sensor.ray(line, sample),
         };
         let ray = |at: [u32; 2], lane: u32| ray(at[0], at[1] + lane);
         // A tile of fewer lines has more samples.
-        let tall = lines.min(GROUPS);
         let octets = GROUPS / tall.next_power_of_two();
         for line in (0..lines).step_by(tall) {
             for octet in (0..samples.div_ceil(GROUP)).step_by(octets) {
@@ -182,11 +223,32 @@ impl RayTiles {
     /// Tiles of neighbours in direction, however they are listed.
     fn listed_of(sensor: &Sensor) -> Self {
         let mut all = Self::empty(GroupLayout::Listed, usize::MAX);
+        all.list(sensor, 0..sensor.width() * sensor.height());
+        all.block_starts.push(all.tiles.len() as u32);
+        all
+    }
+
+    /// Tiles of neighbours in direction within each bundle.
+    fn listed_in_bundles(sensor: &Sensor, bundles: &Bundles) -> Self {
+        let mut all = Self::empty(GroupLayout::Listed, usize::MAX);
         let width = sensor.width();
+        let number = |pixel: u32| bundles.of_pixel(pixel % width, pixel / width);
+        let mut pixels: Vec<u32> = (0..width * sensor.height()).collect();
+        pixels.sort_by_key(|pixel| number(*pixel));
+        for own in pixels.chunk_by(|a, b| number(*a) == number(*b)) {
+            all.list(sensor, own.iter().copied());
+            all.bundles.resize(all.tiles.len(), number(own[0]));
+        }
+        all.block_starts.push(all.tiles.len() as u32);
+        all
+    }
+
+    /// Adds tiles of neighbours in direction.
+    fn list(&mut self, sensor: &Sensor, pixels: impl Iterator<Item = u32>) {
+        let (all, width) = (self, sensor.width());
         let direction = |pixel: u32| sensor.ray(pixel % width, pixel / width);
-        let mut rays: Vec<([f32; 3], u32)> = (0..width * sensor.height())
-            .filter_map(|pixel| Some((direction(pixel)?.as_vec3().to_array(), pixel)))
-            .collect();
+        let mut rays: Vec<([f32; 3], u32)> =
+            pixels.filter_map(|pixel| Some((direction(pixel)?.as_vec3().to_array(), pixel))).collect();
         gather(&mut rays, GROUP);
         for tile in rays.chunks(GROUP * GROUPS) {
             let first = all.listed.len() as u32;
@@ -200,8 +262,6 @@ impl RayTiles {
             };
             all.add((first..all.listed.len() as u32).map(|group| [group, 0]), usize::MAX, &ray);
         }
-        all.block_starts.push(all.tiles.len() as u32);
-        all
     }
 
     /// Adds a tile of some groups, or several if it would be too wide.

@@ -1,7 +1,9 @@
 //! Arbitrary ray tables.
 
+use super::BeamTable;
 use crate::error::{Error, Result};
 use glam::DVec3;
+use std::sync::Arc;
 
 /// Largest distance of the origin of a ray from the origin of its sensor along each axis, metres: no housing is larger.
 pub const MAX_ORIGIN: f64 = 2.0;
@@ -13,6 +15,10 @@ pub struct RayTable {
     height: u32,
     directions: Vec<DVec3>,
     origins: Option<Vec<DVec3>>,
+    /// Points at which rays leave the sensor, if their ranges count from other ones.
+    starts: Option<Vec<DVec3>>,
+    /// What the rays were made from, if they are those of a spinning sensor.
+    beams: Option<Arc<BeamTable>>,
 }
 
 /// Two pixels without a ray compare as equal, although NaN is not equal to itself.
@@ -57,7 +63,7 @@ impl RayTable {
                 *d = (*d / longest).normalize();
             }
         }
-        Ok(Self { width, height, directions: unit, origins: None })
+        Ok(Self { width, height, directions: unit, origins: None, starts: None, beams: None })
     }
 
     /// Rays that start beside the origin of the sensor: an origin for each ray, metres, body axes. Zero for all rays
@@ -77,12 +83,35 @@ impl RayTable {
             return Err(Error::invalid(what, remedy).at(format!("ray {at}")));
         }
         let origins = origins.iter().any(|o| *o != DVec3::ZERO).then_some(origins);
-        Ok(Self { origins, ..self })
+        Ok(Self { origins, starts: None, beams: None, ..self })
     }
 
-    /// Where each ray starts, metres, row-major, body axes; `None` if all start at the origin of the sensor.
+    /// The point from which the range of each ray is measured, metres, row-major, body axes; `None` if that is the
+    /// origin of the sensor for all. A measured point is this one plus range times direction.
     pub fn origins(&self) -> Option<&[DVec3]> {
         self.origins.as_deref()
+    }
+
+    /// The beams of a spinning sensor from which [`RayTable::of_beams`] made the rays.
+    pub fn beams(&self) -> Option<&BeamTable> {
+        self.beams.as_deref()
+    }
+
+    /// The point at which each ray leaves the sensor, metres, row-major, body axes; `None` if that is the origin of the
+    /// sensor for all. It lies [`RayTable::range_lead`] ahead of the ray's origin, with the same bits for all rays that
+    /// share it.
+    pub fn starts(&self) -> Option<&[DVec3]> {
+        self.starts.as_deref().or(self.origins.as_deref())
+    }
+
+    /// Metres along each ray from its origin to where it leaves the sensor: see [`BeamTable::range_lead`].
+    pub fn range_lead(&self) -> f64 {
+        if self.starts.is_some() { self.beams().map_or(0.0, |beams| beams.range_lead) } else { 0.0 }
+    }
+
+    pub(super) fn with_beams(self, beams: Arc<BeamTable>, starts: Vec<DVec3>) -> Self {
+        let starts = (beams.range_lead != 0.0).then_some(starts);
+        Self { beams: Some(beams), starts, ..self }
     }
 
     /// Columns.

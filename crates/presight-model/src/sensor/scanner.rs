@@ -199,7 +199,7 @@ impl Scanner {
 
 /// Cosine and sine of an angle in degrees, exact at multiples of 90 and never -0 there: a pole's w1 / w0 is infinite,
 /// with the sign of w1.
-fn cos_sin_deg(degrees: f64) -> [f64; 2] {
+pub(super) fn cos_sin_deg(degrees: f64) -> [f64; 2] {
     let quarter = (degrees / 90.0).round();
     // The subtraction is exact: its result is a multiple of the last place of `degrees` and not larger.
     let (sin, cos) = (degrees - 90.0 * quarter).to_radians().sin_cos();

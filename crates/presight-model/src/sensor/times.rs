@@ -4,7 +4,7 @@ use crate::error::{Error, Result};
 use std::sync::Arc;
 
 /// Maximum time between the first ray of a scan and the last, and between any ray and the stamp, seconds.
-const MAX_SCAN_S: f64 = 60.0;
+pub(super) const MAX_SCAN_S: f64 = 60.0;
 
 /// The ray of a scan to which the stamp of a frame belongs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -91,7 +91,12 @@ impl RayTimes {
         }
     }
 
-    pub(super) fn check(&self, size: (u32, u32)) -> Result<()> {
+    /// Checks that they fit an image of `size` columns and rows.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Invalid`] for a number of times that is not that of the rays, and for a time that is not finite or
+    /// is too far from the stamp.
+    pub fn check(&self, size: (u32, u32)) -> Result<()> {
         let limit = format!("give seconds, at most {MAX_SCAN_S}; 0 if all rays are measured at the same time");
         match self {
             Self::AtOnce => {}

@@ -36,8 +36,13 @@ impl RangeLikelihood {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] for a frame without a reading, for readings that this sensor cannot
-    /// deliver, for a sensor without `range_sigma` or finite `range_max`, or for a cell that is not finite.
+    /// deliver, for a sensor without `range_sigma` or finite `range_max`, for a cell that is not finite, or for a frame
+    /// whose rays do not have one pose.
     pub fn new(frame: &Frame, cell: PoseCell) -> Result<Self> {
+        if !frame.has_one_pose() {
+            let remedy = "give Frame::at_one_moment, and poses of its sensor at that moment";
+            return Err(Error::invalid("the robot moves while the frame is measured", remedy));
+        }
         let (sensor, range) = (frame.sensor(), frame.ranges());
         let spec = sensor.spec();
         if range.iter().all(|r| r.is_nan()) {

@@ -21,6 +21,7 @@ use headings::{HeadingWeights, Panorama};
 use presight_model::clock::Instant;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, SensorPose};
+use presight_model::measured::{ScanMotion, ScanPoses};
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_model::world::World;
@@ -56,6 +57,8 @@ pub struct BatchRequest {
     pub height: Option<f64>,
     /// Include statistics of each prediction.
     pub statistics: bool,
+    /// How the robot moves during the scan at each pose: none if it stands, one for all poses, or one per pose.
+    pub motions: Vec<ScanMotion>,
     /// Number of poses processed together; `None` chooses. Results do not depend on it.
     pub chunk: Option<usize>,
 }
@@ -114,6 +117,7 @@ struct Task<'p> {
     by_cut: bool,
     /// Height of the cut.
     height: Option<f64>,
+    motions: Vec<ScanMotion>,
 }
 
 enum HeadingModel {
@@ -237,6 +241,10 @@ impl<'p> Task<'p> {
         let sensor = request.headings.as_ref().map_or(sensor, Headings::panorama).clone();
         let asked = request.images.unwrap_or(Outputs::of(&[]).into());
         Request::of(asked.outputs).check(&sensor)?;
+        if request.headings.is_some() && (!request.motions.is_empty() || sensor.has_origins()) {
+            let what = "all headings at once of a sensor that moves or whose rays start at several points";
+            return Err(Error::usage(what, "give a pose for each heading"));
+        }
         let mut outputs = asked.outputs;
         if weigh.is_some() || request.images.is_none() {
             outputs = outputs.with(Output::Range);
@@ -251,7 +259,8 @@ impl<'p> Task<'p> {
             request: ImageRequest { outputs, ..asked },
             wanted: asked.outputs,
             show: None,
-            by_cut: is_row(&sensor),
+            by_cut: is_row(&sensor) && request.motions.is_empty(),
+            motions: request.motions.clone(),
             sensor,
             weigh,
             headings: request.headings.clone(),
@@ -282,6 +291,24 @@ impl<'p> Task<'p> {
         self.headings.as_ref().map_or(Ok(*given), |headings| headings.place(given))
     }
 
+    /// Plans the prediction at a pose.
+    fn plan(&self, index: usize, pose: &Pose, chosen: Option<ChosenWay>, buffers: PlanBuffers) -> Result<FramePlan> {
+        let (world, sensor, request) = (&self.world, &self.sensor, self.request);
+        let motion = match &self.motions[..] {
+            [] => None,
+            [one] => Some(one),
+            motions => Some(motions.get(index).ok_or_else(|| {
+                let what = format!("{} motions, and more poses", motions.len());
+                Error::usage(what, "give a motion for each pose, or one for all")
+            })?),
+        };
+        match (ScanPoses::new(sensor, pose, motion)?, chosen) {
+            (Some(poses), _) => FramePlan::in_bundles(buffers, world, sensor, pose, request, poses),
+            (None, Some(chosen)) => FramePlan::by(chosen, buffers, world, sensor, pose, request),
+            (None, None) => FramePlan::within(buffers, world, sensor, pose, request),
+        }
+    }
+
     /// Produces the item of a pose, with a thread's own memory and engine; kept images go to `room`.
     fn run(
         &self,
@@ -302,8 +329,7 @@ impl<'p> Task<'p> {
         let Lane { engine, chosen, buffers, images, .. } = lane;
         if let (false, Some(engine)) = (seen, engine) {
             let buffers_of_plan = std::mem::take(buffers);
-            let (world, sensor) = (&self.world, &self.sensor);
-            let plan = FramePlan::by(*chosen, buffers_of_plan, world, sensor, &world_from_sensor, self.request)?;
+            let plan = self.plan(index, &world_from_sensor, Some(*chosen), buffers_of_plan)?;
             stats.index = self.world.index().name();
             let rendered = engine.render(&plan, images, &mut stats);
             *buffers = plan.into_buffers();
@@ -496,7 +522,7 @@ impl<'p, I: Iterator<Item = SensorPose>> Batch<'p, I> {
                 continue;
             }
             let buffers = buffers.pop().unwrap_or_default();
-            match FramePlan::within(buffers, &task.world, &task.sensor, &world_from_sensor, task.request) {
+            match task.plan(*index, &world_from_sensor, None, buffers) {
                 Ok(plan) => plans.push(plan),
                 Err(e) => {
                     fault = Err(e);

@@ -14,6 +14,8 @@ use presight_features::{FeaturePrediction, Vantage};
 use presight_model::clock::Instant;
 use presight_model::error::Result;
 use presight_model::geometry::SensorPose;
+use presight_model::measured::{ScanMotion, ScanPoses};
+use presight_model::plausible;
 use presight_model::sensor::Sensor;
 use presight_model::threads::Threads;
 use presight_model::world::World;
@@ -345,7 +347,8 @@ impl Predictor {
         }
         let vantage = Vantage { world, sensor, world_from_sensor };
         let reuse = self.reuse_visible;
-        *stats = self.predict_within(&vantage, request.drawn(), reuse, images, timed.as_mut())?;
+        let motion = request.motion.as_ref();
+        *stats = self.predict_within(&vantage, motion, request.drawn(), reuse, images, timed.as_mut())?;
         *features = match &placed {
             Some(placed) => {
                 let task = FeatureTask::new(vantage, request, placed);
@@ -372,13 +375,14 @@ impl Predictor {
         images: &mut Images,
     ) -> Result<Stats> {
         let vantage = Vantage { world, sensor, world_from_sensor: &pose.world_from_sensor() };
-        self.predict_within(&vantage, request.into(), false, images, None)
+        self.predict_within(&vantage, None, request.into(), false, images, None)
     }
 
     /// Predicts images, with a deadline if there is one; an engine may reuse its last frame if the request allows it.
     fn predict_within(
         &mut self,
         vantage: &Vantage<'_>,
+        motion: Option<&ScanMotion>,
         request: ImageRequest,
         reuse_visible: bool,
         images: &mut Images,
@@ -386,10 +390,13 @@ impl Predictor {
     ) -> Result<Stats> {
         let start = Instant::now();
         let Vantage { world, sensor, world_from_sensor } = *vantage;
+        let bundles = ScanPoses::new(sensor, world_from_sensor, motion)?;
+        let cut = if bundles.is_some() { None } else { self.find_cut(vantage, timed.as_deref()) };
         let buffers = std::mem::take(&mut self.buffers);
-        let mut plan = match self.find_cut(vantage, timed.as_deref()) {
-            Some(cut) => FramePlan::by_cut(buffers, world, sensor, world_from_sensor, request, cut),
-            None => {
+        let mut plan = match (bundles, cut) {
+            (Some(poses), _) => FramePlan::in_bundles(buffers, world, sensor, world_from_sensor, request, poses)?,
+            (None, Some(cut)) => FramePlan::by_cut(buffers, world, sensor, world_from_sensor, request, cut),
+            (None, None) => {
                 let mut chosen = self.choose_way(world, sensor);
                 if self.way == Way::Auto {
                     chosen = self.ways.adjust(sensor, request.outputs, chosen);
@@ -409,7 +416,7 @@ impl Predictor {
             self.controller.plan(timed, &mut plan)?;
         }
         let rendered = self.render(&plan, images, &mut stats);
-        if self.way == Way::Auto {
+        if self.way == Way::Auto && plan.bundles().is_none() {
             self.ways.learn(&plan, &stats, start.elapsed());
         }
         plan.record_way(stats.way);
@@ -469,7 +476,9 @@ impl Predictor {
     ) -> Result<()> {
         let mut done = 0;
         let first = plans.iter().find(|plan| plan.polygon_count > 0);
-        if first.is_none_or(|plan| self.prove_for(plan).is_ok()) {
+        // A device draws all rays from one pose.
+        let alike = self.engine.device().is_none() || plans.iter().all(|plan| plan.bundles().is_none());
+        if alike && first.is_none_or(|plan| self.prove_for(plan).is_ok()) {
             // A fault occurs again with the first remaining plan, which handles it.
             let _ = self.engine.render_many(plans, weighing, images, &mut |drawn, mut stats| {
                 add_notes(&plans[done], self.notice.as_ref(), &mut stats);
@@ -490,6 +499,14 @@ impl Predictor {
         if self.engine.device().is_none() {
             return self.engine.render(plan, images, stats);
         }
+        if plan.bundles().is_some() {
+            let mut engine = self.stand_in()?;
+            let rendered = engine.render(plan, images, stats);
+            self.stand_in = Some(engine);
+            let name = self.engine.name();
+            stats.notices.push(format!("the CPU engine drew rays with own origins or times: {name} has one pose"));
+            return rendered;
+        }
         let selection = stats.clone();
         let mut again = true;
         loop {
@@ -509,4 +526,8 @@ fn add_notes(plan: &FramePlan, notice: Option<&String>, stats: &mut Stats) {
     stats.left_out.extend(by_engine);
     plan.variants().iter().filter(|(_, taken, _)| *taken).for_each(|(what, _, why)| stats.take(*what, why));
     stats.notices.extend(notice.cloned());
+    if plan.polygon_count == 0 && plan.radius().is_none() {
+        let bounds = plan.world.environment().bounds();
+        stats.notices.extend(plausible::far_outside(&bounds, plan.world_from_sensor.translation));
+    }
 }

@@ -21,14 +21,19 @@ impl Predictor {
 
     /// Fulfils a request on the CPU engine instead of the automatically chosen one.
     pub(super) fn fill_on_stand_in(&mut self, world: &World, prediction: &mut Prediction) -> Result<()> {
-        let engine = match self.stand_in.take() {
-            Some(engine) => engine,
-            None => Box::new(cpu::CpuEngine::new(self.threads.clone())?),
-        };
+        let engine = self.stand_in()?;
         let chosen = std::mem::replace(&mut self.engine, engine);
         let filled = self.fill(world, prediction);
         self.stand_in = Some(std::mem::replace(&mut self.engine, chosen));
         filled
+    }
+
+    /// Takes the CPU engine that stands in for the chosen one.
+    pub(super) fn stand_in(&mut self) -> Result<Box<dyn Engine>> {
+        match self.stand_in.take() {
+            Some(engine) => Ok(engine),
+            None => Ok(Box::new(cpu::CpuEngine::new(self.threads.clone())?)),
+        }
     }
 
     /// Recovers from a fault: opens a lost device again (if `again` allows it) or, with an automatically chosen

@@ -91,8 +91,13 @@ fn checked(key: &str, points: Vec<[f64; 2]>, [least, most]: [usize; 2]) -> Resul
     Ok(points.into_iter().map(DVec2::from).collect())
 }
 
-/// Checks the corners of a simple polygon under its key.
-fn checked_polygon(key: &str, corners: Vec<[f64; 2]>) -> Result<Vec<DVec2>> {
+/// Checks the corners of a simple polygon under its key. A corner that repeats the one before it counts once, and so
+/// does a last corner that repeats the first: GeoJSON and WKT close their rings that way.
+fn checked_polygon(key: &str, mut corners: Vec<[f64; 2]>) -> Result<Vec<DVec2>> {
+    corners.dedup();
+    if corners.len() > 1 && corners.first() == corners.last() {
+        corners.pop();
+    }
     let corners = checked(key, corners, [3, MAX_CORNERS])?;
     let n = corners.len();
     let side = |i: usize| (corners[i], corners[(i + 1) % n]);
@@ -174,10 +179,12 @@ impl Corridor {
 
     /// Makes a corridor from the corners of the robot's footprint and the poses over which it moves: x, y, metres, and
     /// yaw, radians, all in the robot's current frame. Between two poses the footprint moves along a straight line and
-    /// turns evenly in the shorter sense.
+    /// turns evenly from the one yaw to the other: counter-clockwise if the yaw grows. Yaws that are more than half a turn
+    /// apart count as wrapped by one turn, such as from 3.1 to -3.1, if that leaves less than a quarter turn.
     ///
     /// # Errors
-    /// As [`Corridor::polygon`], and for no poses, too many, or a sweep that is too long.
+    /// As [`Corridor::polygon`], and for no poses, too many, a sweep that is too long, or a turn that may be meant either
+    /// way.
     pub fn swept(footprint: Vec<[f64; 2]>, poses: &[[f64; 3]], z_min: f64, z_max: f64) -> Result<Self> {
         let footprint = checked_polygon("footprint", footprint)?;
         let radius = footprint.iter().map(|p| p.length()).fold(0.0, f64::max);
@@ -194,8 +201,7 @@ impl Corridor {
         let mut before = poses[0];
         for pose in poses {
             let (from, to) = (DVec2::new(before[0], before[1]), DVec2::new(pose[0], pose[1]));
-            let turn =
-                (pose[2] - before[2] + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
+            let turn = turn_between(before[2], pose[2])?;
             let steps = ((from.distance(to) + turn.abs() * radius) / SWEEP_STEP).ceil().max(1.0);
             if placements.len() as f64 + steps > MAX_PLACEMENTS as f64 {
                 let most = MAX_PLACEMENTS as f64 * SWEEP_STEP;
@@ -273,6 +279,23 @@ impl Corridor {
     }
 }
 
+/// The turn from one yaw to another, radians: see [`Corridor::swept`].
+fn turn_between(from: f64, to: f64) -> Result<f64> {
+    use std::f64::consts::{FRAC_PI_2, PI, TAU};
+    let stated = to - from;
+    // Half a turn in degrees need not be half a turn in radians to the last bit.
+    if stated.abs() <= PI * (1.0 + f64::EPSILON * 4.0) {
+        return Ok(stated);
+    }
+    let shorter = (stated + PI).rem_euclid(TAU) - PI;
+    if shorter.abs() < FRAC_PI_2 {
+        return Ok(shorter);
+    }
+    let [from, to, stated] = [from, to, stated].map(f64::to_degrees);
+    let what = format!("from yaw {from:.0} to {to:.0} degrees are {:.0} degrees, either way around", stated.abs());
+    wrong(what, "give a pose in between, so that no turn is over 180 degrees", "poses")
+}
+
 fn bounds_of(points: &[DVec2], by: f64) -> [DVec2; 2] {
     let least = points.iter().copied().fold(DVec2::INFINITY, DVec2::min);
     let most = points.iter().copied().fold(DVec2::NEG_INFINITY, DVec2::max);
@@ -315,6 +338,37 @@ mod tests {
         assert_eq!((at(1.0, 0.35), at(2.6, 0.0)), (None, None));
         let corner = 0.5f64.hypot(0.3) - 0.01;
         assert!(at(2.0 + corner * 0.7f64.cos(), corner * 0.7f64.sin()).is_some(), "swept while turning");
+    }
+
+    /// A post 40 degrees to the left, at the corner of the turning footprint.
+    #[test]
+    fn turns_follow_the_sign_of_their_yaw() {
+        let swept = |yaws: &[f64]| {
+            let poses: Vec<[f64; 3]> = yaws.iter().map(|yaw| [0.0, 0.0, yaw.to_radians()]).collect();
+            Corridor::swept(vec![[0.0, -0.1], [1.0, -0.1], [1.0, 0.1], [0.0, 0.1]], &poses, 0.0, 1.0)
+        };
+        let [left, right] = [40f64, -40.0].map(|deg| (0.9 * deg.to_radians().cos(), 0.9 * deg.to_radians().sin()));
+        let sees = |yaws: &[f64]| {
+            let corridor = swept(yaws).unwrap();
+            [left, right].map(|(x, y)| corridor.arc_length_at([x, y, 0.5]).is_some())
+        };
+        assert_eq!(sees(&[0.0, 180.0]), [true, false]);
+        assert_eq!(sees(&[0.0, -180.0]), [false, true]);
+        assert_eq!(sees(&[0.0, 90.0, 180.0, 270.0]), [true, false]);
+        assert_eq!(sees(&[20.0, -20.0 + 360.0, -60.0]), [false, true], "wrapped yaws");
+        let refused = swept(&[0.0, 270.0]).unwrap_err().to_string();
+        assert!(refused.contains("270 degrees") && refused.contains("pose in between"), "{refused}");
+    }
+
+    #[test]
+    fn repeated_corners_count_once() {
+        let open = Corridor::polygon(vec![[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]], 0.0, 1.0).unwrap();
+        for more in
+            [vec![[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 0.0]], vec![[0.0, 0.0], [2.0, 0.0], [2.0, 0.0], [2.0, 1.0]]]
+        {
+            assert_eq!(Corridor::polygon(more, 0.0, 1.0).unwrap(), open);
+        }
+        assert!(Corridor::polygon(vec![[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]], 0.0, 1.0).is_err());
     }
 
     #[test]

@@ -11,7 +11,7 @@ mod ros;
 #[cfg(test)]
 mod tests;
 
-use super::text::{from_settings, line_of};
+use super::text::from_settings;
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::sensor::{Distortion, SensorSpec};
 use serde::Deserialize;
@@ -62,6 +62,15 @@ pub fn parse(text: &str, name: &str, camera: Option<&str>, rectified: bool) -> R
     chain::parse(text, &keys, name, camera)
 }
 
+/// Reads the message of a camera. Also returns notices on parts that are not used.
+///
+/// # Errors
+/// As [`read`], without the file.
+#[cfg(feature = "ros")]
+pub fn of_message(info: &presight_ros::message::CameraInfo, rectified: bool) -> Result<(SensorSpec, Vec<String>)> {
+    ros::of_message(info, rectified)
+}
+
 /// Turns OpenCV's YAML into plain YAML with the same lines and columns. Its directive `%YAML:1.0` and its tags
 /// `!!opencv-..` are invalid YAML, and the keys hold the same information.
 fn without_opencv(text: &str) -> Cow<'_, str> {
@@ -100,25 +109,9 @@ fn first_document(text: &str) -> &str {
     text
 }
 
-/// Maximum number of nodes in a file, with every use of an alias counted. A camera has under a hundred.
-const MAX_NODES: usize = 10_000;
-
 fn yaml<T: DeserializeOwned>(text: &str) -> Result<T> {
-    // Aliases can expand into very many nodes.
-    let options = serde_saphyr::options! { budget: serde_saphyr::budget! { max_nodes: MAX_NODES } };
-    serde_saphyr::from_str_with_options(text, options).map_err(|e| {
-        let wrong = Error::invalid(
-            e.without_snippet().to_string(),
-            "give a ROS camera_info: image_width, image_height, camera_matrix, distortion_coefficients",
-        );
-        match e.location() {
-            // Line 0 means unknown.
-            Some(place) if place.line() > 0 => {
-                wrong.at(format!("line {}", place.line().min(line_of(text, text.len()) as u64)))
-            }
-            _ => wrong,
-        }
-    })
+    let remedy = "give a ROS camera_info: image_width, image_height, camera_matrix, distortion_coefficients";
+    crate::yaml::yaml(text, remedy)
 }
 
 /// Keys without any effect on images, which need no notice.

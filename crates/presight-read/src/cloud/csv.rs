@@ -36,7 +36,7 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
         };
         points.push(DVec3::new(x, y, z));
     }
-    Ok(Cloud { points, size: None, pose: None })
+    Ok(Cloud { points, size: None, times: None, pose: None })
 }
 
 fn named(words: &[&str]) -> Option<[usize; 3]> {

@@ -1,6 +1,7 @@
 //! Point clouds of scans: PLY, PCD and CSV.
 //!
-//! Coordinates are metres in the body frame of the sensor: x forward, y left, z up. Other fields are ignored.
+//! Coordinates are metres in the body frame of the sensor: x forward, y left, z up. In PLY and PCD a field `t`, `time`,
+//! `timestamp` or `offset_time` holds the times of the points ([`PointTimes`]). Other fields are ignored.
 //!
 //! - **PLY** 1.0: text or binary, with `vertex` as the first element. A file of presight with points in the world also
 //!   holds the sensor's pose, and the points are transformed back.
@@ -14,6 +15,12 @@ mod ply;
 mod records;
 #[cfg(test)]
 mod tests;
+mod times;
+
+pub use times::PointTimes;
+#[cfg(feature = "ros")]
+pub(crate) use times::field_of as time_field;
+pub(crate) use times::{RaySeconds, ScanStamp};
 
 use super::file;
 use glam::DVec3;
@@ -32,6 +39,8 @@ pub struct Cloud {
     pub points: Vec<DVec3>,
     /// Columns and rows of an organized cloud.
     pub size: Option<(u32, u32)>,
+    /// The times of the points, if the file has them.
+    pub times: Option<PointTimes>,
     /// The sensor's pose, if the file gives it.
     pub pose: Option<SensorPose>,
 }

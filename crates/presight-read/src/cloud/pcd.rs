@@ -44,10 +44,10 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
         let remedy = "write points in the sensor's frame";
         return Err(Error::invalid("its points are in the world, and the sensor's pose is missing", remedy));
     }
-    let points = Records { encoding, count, numbers }.points(body)?;
+    let (points, times) = Records { encoding, count, numbers }.points(body)?;
     // Writers put the identity if they do not know the pose.
     let pose = viewpoint.filter(|pose| *pose != Pose::IDENTITY).map(SensorPose::new);
-    Ok(Cloud { points, size: (height > 1).then_some((width as u32, height as u32)), pose })
+    Ok(Cloud { points, size: (height > 1).then_some((width as u32, height as u32)), times, pose })
 }
 
 fn numbers(names: &[String], sizes: &[&str], kinds: &[&str], counts: &[&str]) -> Result<Vec<(String, Number)>> {

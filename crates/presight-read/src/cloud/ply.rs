@@ -43,7 +43,7 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
         }
     }
     records.encoding = format.ok_or_else(|| Error::invalid("its header has no format 1.0", "give a PLY file"))?;
-    let mut points = records.points(body)?;
+    let (mut points, times) = records.points(body)?;
     if in_world {
         let world_from_sensor: Pose = pose.ok_or_else(|| {
             Error::invalid(
@@ -54,7 +54,7 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud> {
         let sensor_from_world = world_from_sensor.inverse();
         points.iter_mut().for_each(|p| *p = sensor_from_world.transform_point(*p));
     }
-    Ok(Cloud { points, size: None, pose: pose.map(SensorPose::new) })
+    Ok(Cloud { points, size: None, times, pose: pose.map(SensorPose::new) })
 }
 
 fn encoding(name: &str) -> Result<Encoding> {

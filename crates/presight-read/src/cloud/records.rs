@@ -1,6 +1,7 @@
-//! Records of numbers: three are the coordinates of a point, others are ignored.
+//! Records of numbers: three are the coordinates of a point, one may be its time, others are ignored.
 
 use super::super::text::line_of;
+use super::times::{PointTimes, field_of};
 use glam::DVec3;
 use presight_model::error::{Error, Result};
 use presight_model::{limits, memory};
@@ -57,8 +58,8 @@ pub struct Records {
 }
 
 impl Records {
-    /// Reads the points from the data after the header.
-    pub fn points(&self, body: &[u8]) -> Result<Vec<DVec3>> {
+    /// Reads the points, and their times if there are any, from the data after the header.
+    pub fn points(&self, body: &[u8]) -> Result<(Vec<DVec3>, Option<PointTimes>)> {
         if self.count as u64 > limits::MAX_PIXELS {
             let what = format!("it has {} points", self.count);
             return Err(Error::invalid(what, format!("the limit is {}: give fewer points", limits::MAX_PIXELS)));
@@ -77,40 +78,61 @@ impl Records {
             return Err(Error::invalid(what, "the file is truncated: write it again"));
         }
         let mut points = memory::reserved(self.count)?;
-        match self.encoding {
-            Encoding::Text => self.read_text(body, [x, y, z], &mut points)?,
-            _ => self.read_binary(body, [x, y, z], &mut points),
-        }
-        Ok(points)
+        let Some(t) = field_of(self.numbers.iter().map(|(name, _)| name.as_str())) else {
+            self.read(body, [x, y, z], |[x, y, z]| points.push(DVec3::new(x, y, z)))?;
+            return Ok((points, None));
+        };
+        let mut values = memory::reserved(self.count)?;
+        self.read(body, [x, y, z, t], |[x, y, z, t]| {
+            points.push(DVec3::new(x, y, z));
+            values.push(t);
+        })?;
+        let (field, number) = &self.numbers[t];
+        let is_whole = !matches!(number, Number::Float(_));
+        Ok((points, Some(PointTimes { field: field.clone(), values, is_whole })))
     }
 
-    fn read_text(&self, body: &[u8], xyz: [usize; 3], points: &mut Vec<DVec3>) -> Result<()> {
+    /// Calls `add` with some of the numbers of each record.
+    fn read<const N: usize>(&self, body: &[u8], columns: [usize; N], add: impl FnMut([f64; N])) -> Result<()> {
+        match self.encoding {
+            Encoding::Text => self.read_text(body, columns, add),
+            _ => {
+                self.read_binary(body, columns, add);
+                Ok(())
+            }
+        }
+    }
+
+    fn read_text<const N: usize>(&self, body: &[u8], columns: [usize; N], mut add: impl FnMut([f64; N])) -> Result<()> {
         let text = std::str::from_utf8(body);
         let text = text.map_err(|_| Error::invalid("its points are not text", "name the actual encoding"))?;
         let lines = text.lines().filter(|line| !line.trim().is_empty());
+        let mut count = 0;
         for line in lines.take(self.count) {
             let words: Vec<&str> = line.split_whitespace().take(self.numbers.len()).collect();
             let number = |i: usize| words.get(i).and_then(|word| word.parse::<f64>().ok());
-            let [Some(x), Some(y), Some(z)] = xyz.map(number) else {
+            let found = columns.map(number);
+            if found.contains(&None) {
                 let offset = line.as_ptr() as usize - text.as_ptr() as usize;
                 let what = format!("line {} after its header is not a point", line_of(text, offset));
                 return Err(Error::invalid(what, format!("give {} numbers per line", self.numbers.len())));
-            };
-            points.push(DVec3::new(x, y, z));
+            }
+            add(found.map(Option::unwrap_or_default));
+            count += 1;
         }
-        if points.len() < self.count {
-            let what = format!("it has {} points, but its header announces {}", points.len(), self.count);
+        if count < self.count {
+            let what = format!("it has {count} points, but its header announces {}", self.count);
             return Err(Error::invalid(what, "the file is truncated: write it again"));
         }
         Ok(())
     }
 
-    fn read_binary(&self, body: &[u8], xyz: [usize; 3], points: &mut Vec<DVec3>) {
+    fn read_binary<const N: usize>(&self, body: &[u8], columns: [usize; N], mut add: impl FnMut([f64; N])) {
         let size: usize = self.numbers.iter().map(|(_, n)| n.bytes()).sum();
         let start = |i: usize| self.numbers[..i].iter().map(|(_, n)| n.bytes()).sum::<usize>();
-        let places = xyz.map(|i| (start(i), self.numbers[i].1));
+        let places = columns.map(|i| (start(i), self.numbers[i].1));
         for record in body.chunks_exact(size).take(self.count) {
-            let [x, y, z] = places.map(|(at, number)| {
+            add(places.map(|(at, number)| {
                 let mut bytes = [0; 8];
                 let bytes = &mut bytes[..number.bytes()];
                 bytes.copy_from_slice(&record[at..at + number.bytes()]);
@@ -118,8 +140,7 @@ impl Records {
                     bytes.reverse();
                 }
                 number.read(bytes)
-            });
-            points.push(DVec3::new(x, y, z));
+            }));
         }
     }
 }

@@ -1,10 +1,10 @@
 //! Planar laser scans in the form of public data sets: one JSON object with a list `scans`.
 //!
 //! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_min` (default 0),
-//! `range_max`, `range_std`, `turn_s` (seconds of a scan, see [`RayTimes::Columns`]; default 0), `sensor_on_robot` {x,
-//! y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`, `range_max`. Keys of a scan:
+//! `range_max`, `range_std`, `turn_s` (seconds of a scan, see [`RayTimes::Columns`]; default 0), `stamp` (the ray to which
+//! `t` belongs: `first`, `middle` or `last`; default `first`), `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`, `range_max`. Keys of a scan:
 //! `ranges` (metres, and the other readings of [`super::lines`]), and optionally `valid` (a digit for each beam, 1 for
-//! a reading), `t` (seconds; default: the index of the scan), `odometry_increment` [x, y, yaw] and the robot's pose {x,
+//! a reading), `t` (seconds; default: the index of the scan), `times` and `twist` as in [`super::lines`], `odometry_increment` [x, y, yaw] and the robot's pose {x,
 //! y, yaw} under `robot_pose`, `reference_pose` or `pose_in_model`. Other keys are ignored.
 
 use super::readings::{Reading, with_quoted_words};
@@ -12,7 +12,7 @@ use super::{Log, LogFrame, check_time};
 use crate::text::check_json_memory;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, RobotPose};
+use presight_model::geometry::{Pose, RobotPose, Twist};
 use presight_model::limits;
 use presight_model::sensor::{Angles, Geometry, Noise, RayTimes, SAME_ANGLE, Scanner, Sensor, SensorSpec, StampAt};
 use serde::Deserialize;
@@ -37,9 +37,28 @@ struct File {
     range_max: Option<f64>,
     range_std: Option<f64>,
     turn_s: Option<f64>,
+    stamp: Option<Stamp>,
     sensor_on_robot: Option<Mount>,
     scan: Option<Layout>,
     scans: Vec<Scan>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Stamp {
+    First,
+    Middle,
+    Last,
+}
+
+impl From<Stamp> for StampAt {
+    fn from(stamp: Stamp) -> Self {
+        match stamp {
+            Stamp::First => Self::First,
+            Stamp::Middle => Self::Middle,
+            Stamp::Last => Self::Last,
+        }
+    }
 }
 
 #[derive(Deserialize)]
@@ -69,6 +88,8 @@ struct Planar {
 #[derive(Deserialize)]
 struct Scan {
     t: Option<f64>,
+    times: Option<Vec<f32>>,
+    twist: Option<[f64; 6]>,
     odometry_increment: Option<[f64; 3]>,
     #[serde(alias = "robot_pose", alias = "reference_pose", alias = "pose_in_model")]
     reference: Option<Planar>,
@@ -105,6 +126,8 @@ impl Document {
             time: scan.t.unwrap_or(index as f64),
             range: scan.ranges.iter().zip(&valid).map(reading).collect(),
             intensities: None,
+            times: scan.times,
+            twist: scan.twist.map(Twist::from_array),
             odometry: scan.odometry_increment.map(|[x, y, yaw]| planar(x, y, yaw)),
             reference: scan.reference.map(|p| RobotPose::new(planar(p.x, p.y, p.yaw))),
         };
@@ -170,12 +193,13 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
     let scanner = Scanner { azimuth, elevation, beam_height_deg: None };
     let noise = Noise { range_sigma: file.range_std.unwrap_or(0.0), ..Noise::default() };
     let spec = SensorSpec::new(name, "laser", Geometry::Scanner(scanner));
-    let spec = spec.with_times(RayTimes::turning(file.turn_s.unwrap_or(0.0), StampAt::First));
+    let stamp = file.stamp.map_or(StampAt::default(), StampAt::from);
+    let spec = spec.with_times(RayTimes::turning(file.turn_s.unwrap_or(0.0), stamp));
     Ok(spec.with_limits(file.range_min.unwrap_or(0.0), range_max).with_mount(mount).with_noise(noise))
 }
 
 /// Angles of the beams: rising if counter-clockwise, otherwise falling.
-fn azimuths(min_angle: f64, max_angle: f64, beams: u32, counter_clockwise: bool) -> Angles {
+pub(super) fn azimuths(min_angle: f64, max_angle: f64, beams: u32, counter_clockwise: bool) -> Angles {
     let (min_angle, max_angle) = (round_degrees(min_angle), round_degrees(max_angle));
     let step = (max_angle - min_angle) / f64::from(beams.saturating_sub(1).max(1));
     let (start_deg, step_deg) = if counter_clockwise { (min_angle, step) } else { (max_angle, -step) };

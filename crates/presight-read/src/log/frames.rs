@@ -3,15 +3,19 @@
 #[cfg(feature = "ros")]
 use super::bag::BagFrames;
 use super::bag_options::BagOptions;
+use super::notices::Notices;
+use super::ray_times::TimedSensor;
 use super::readings::Readings;
+use super::scan_motions::{ScanMotions, Source};
 use super::scans::{self, Scans};
 use crate::depth_folder::{DepthFolder, pose_at};
+use crate::tum::StampedPose;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, RobotPose, SensorPose};
 use presight_model::measured::{Frame, Motion, OdometryNoise};
+use presight_model::plausible::FramePeriod;
 use presight_model::sensor::Sensor;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
 
 /// A frame with the log's reference pose.
 #[derive(Clone, Debug)]
@@ -20,16 +24,46 @@ pub struct Observation {
     pub frame: Frame,
     /// The robot's pose, if the log has it. Estimates must not use it.
     pub reference: Option<RobotPose>,
+    /// The message of a ROS 2 bag that holds the measurement.
+    pub recorded: Option<Box<Recorded>>,
+}
+
+/// The message of a ROS 2 bag that holds a measurement, as it was recorded, and the frames of its time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recorded {
+    /// Its topic.
+    pub topic: String,
+    /// Its type, `sensor_msgs/msg/LaserScan`.
+    pub message_type: String,
+    /// Its serialization: a header of four bytes, then CDR.
+    pub data: Vec<u8>,
+    /// Topic and serialization of the `CameraInfo` of an image.
+    pub camera_info: Option<(String, Vec<u8>)>,
+    /// Nanoseconds since the epoch of the recording's clock.
+    pub stamp_ns: i64,
+    /// The frame of the measurement.
+    pub frame: String,
+    /// The frame of the robot.
+    pub base: String,
+    /// The frame of the odometry with odom_from_base at the stamp, if it is known.
+    pub odom: Option<(String, Pose)>,
 }
 
 /// The frames of a log, in the order of time. The first error ends them.
+///
+/// A frame whose rays take time carries the motion of the robot meanwhile ([`Frame::scan_motion`]): its own twist, or by
+/// odometry between neighbouring frames. For a scan after its stamp that needs the next frame, which is then read ahead.
 pub struct Frames {
     sensor: Sensor,
     frames: Box<dyn Iterator<Item = Result<Observation>> + Send>,
+    /// The next frame, if it was read ahead.
+    ahead: Option<Option<Result<Observation>>>,
+    motions: ScanMotions,
     ended: bool,
     readings: Readings,
-    /// Notices on parts of a bag that were left out.
-    notices: Arc<Mutex<Vec<String>>>,
+    period: FramePeriod,
+    /// Notices on parts that were left out, and on the motion of scans.
+    notices: Notices,
     has_planar_poses: bool,
 }
 
@@ -89,9 +123,11 @@ impl Frames {
             return Err(Error::invalid("the topic has no messages", "choose another by `BagOptions::topic`"));
         };
         let sensor = first.frame.sensor().clone();
-        let notices = frames.notices();
+        let notices = Notices::from(frames.notices());
         let frames = std::iter::once(Ok(first)).chain(frames);
-        Ok(Self { notices, ..Self::new(sensor, frames, "NaN") })
+        let mut frames = Self::new(sensor, frames, "NaN", notices);
+        frames.motions.own_is_odometry = true;
+        Ok(frames)
     }
 
     #[cfg(not(feature = "ros"))]
@@ -105,8 +141,8 @@ impl Frames {
         let Some(first) = scans.next().transpose()? else {
             return Err(Error::invalid("there is no scan", "give PLY, PCD, CSV or EXR files"));
         };
-        let sensor = first.frame.sensor().clone();
-        Ok(Self::new(sensor, std::iter::once(Ok(first)).chain(scans), "NaN or a cell without a point"))
+        let (sensor, notices) = (first.frame.sensor().clone(), scans.notices());
+        Ok(Self::new(sensor, std::iter::once(Ok(first)).chain(scans), "NaN or a cell without a point", notices))
     }
 
     fn of_folder(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise) -> Result<Self> {
@@ -125,9 +161,9 @@ impl Frames {
             let since = before.zip(now).map(|(before, now): (Pose, Pose)| before.inverse() * now);
             frame.motion = since.map(|motion| Motion::of_odometry(motion, &noise));
             before = now;
-            Ok(Observation { reference: at(frame.stamp), frame })
+            Ok(Observation { reference: at(frame.stamp), frame, recorded: None })
         });
-        Ok(Self::new(sensor, frames, "65535"))
+        Ok(Self::new(sensor, frames, "65535", Notices::default()))
     }
 
     fn of_file(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise) -> Result<Self> {
@@ -145,30 +181,63 @@ impl Frames {
             );
             return Err(Error::usage(what, "give the sensor that measured"));
         }
-        let (file, used) = (path.to_owned(), sensor.clone());
+        let (file, mut used) = (path.to_owned(), TimedSensor::new(sensor.clone()));
         let frames = log.enumerate().map(move |(index, frame)| {
             let frame = frame?;
             let reference = frame.reference;
-            let frame = frame.into_frame(&used, &noise).map_err(|e| e.at(format!("frame {index}")).in_file(&file))?;
-            Ok(Observation { frame, reference })
+            let timed = used.with(frame.times.as_deref());
+            let frame = timed.and_then(|sensor| frame.into_frame_of(sensor, &noise));
+            let frame = frame.map_err(|e| e.at(format!("frame {index}")).in_file(&file))?;
+            Ok(Observation { frame, reference, recorded: None })
         });
-        Ok(Self { has_planar_poses, ..Self::new(sensor, frames, "null or NaN") })
+        Ok(Self { has_planar_poses, ..Self::new(sensor, frames, "null or NaN", Notices::default()) })
     }
 
     fn new(
         sensor: Sensor,
         frames: impl Iterator<Item = Result<Observation>> + Send + 'static,
         missing_as: &'static str,
+        notices: Notices,
     ) -> Self {
         let readings = Readings::new(missing_as);
         Self {
             sensor,
             frames: Box::new(frames),
+            ahead: None,
+            motions: ScanMotions::new(notices.clone()),
             ended: false,
             readings,
-            notices: Arc::default(),
+            period: FramePeriod::default(),
+            notices,
             has_planar_poses: false,
         }
+    }
+
+    /// Takes the motion of scans from the log's reference poses, which are preferred to odometry: for work that takes the
+    /// reference as the pose of the robot. Estimates must not use it.
+    #[must_use]
+    pub fn moving_by_reference(mut self) -> Self {
+        self.motions.source = Source::Reference;
+        self
+    }
+
+    /// Takes the motion of scans from a trajectory of the robot, which is preferred to odometry: for work that takes it as the
+    /// pose of the robot.
+    ///
+    /// # Errors
+    /// [`presight_model::ErrorKind::Invalid`] if its times do not ascend.
+    pub fn moving_along(mut self, trajectory: &[StampedPose]) -> Result<Self> {
+        if let Some(pair) = trajectory.windows(2).find(|pair| !(pair[1].time > pair[0].time)) {
+            let what = format!("a trajectory goes back from {} s to {} s", pair[0].time, pair[1].time);
+            return Err(Error::invalid(what, "sort its poses by time, each once"));
+        }
+        self.motions.source = Source::Trajectory(trajectory.iter().map(|p| (p.time, p.pose)).collect());
+        Ok(self)
+    }
+
+    /// The next frame, which may have been read ahead.
+    fn taken(&mut self) -> Option<Result<Observation>> {
+        self.ahead.take().unwrap_or_else(|| self.frames.next())
     }
 
     /// True if the log's poses are x, y and yaw only, as in documents of planar scans: their height is 0 whatever the
@@ -177,11 +246,10 @@ impl Frames {
         self.has_planar_poses
     }
 
-    /// Notices on parts that were left out so far, and one that counts the readings by their meaning, unless every
-    /// reading is a distance.
+    /// Notices on parts that were left out so far, one that counts the readings by their meaning, unless every reading is a
+    /// distance, and one if the times cannot be seconds.
     pub fn notices(&self) -> Vec<String> {
-        let left_out = self.notices.lock().unwrap_or_else(PoisonError::into_inner);
-        left_out.iter().cloned().chain(self.readings.notice()).collect()
+        self.notices.all().into_iter().chain(self.readings.notice()).chain(self.period.notice()).collect()
     }
 
     /// The sensor of the first frame. Each scan of points has its own sensor.
@@ -197,12 +265,21 @@ impl Iterator for Frames {
         if self.ended {
             return None;
         }
-        let next = self.frames.next();
-        match &next {
-            Some(Ok(observation)) => self.readings.add(&observation.frame),
-            _ => self.ended = true,
+        let now = match self.taken() {
+            Some(Ok(now)) => now,
+            end => {
+                self.ended = true;
+                return end;
+            }
+        };
+        if self.motions.needs_next(&now) {
+            self.ahead = Some(self.frames.next());
         }
-        next
+        let ahead = self.ahead.as_ref().and_then(|ahead| ahead.as_ref()?.as_ref().ok());
+        let now = self.motions.moved(now, ahead);
+        self.readings.add(&now.frame);
+        self.period.add(now.frame.stamp);
+        Some(Ok(now))
     }
 }
 

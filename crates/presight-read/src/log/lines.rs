@@ -11,6 +11,10 @@
 //!   for an object nearer than `range_min`. `NaN`, `Infinity` and the like are read with and without quotes.
 //! - `intensities`, optional: strength of each ray's echo, from 0 to 1 (as bright as a retroreflector); `null` for
 //!   none.
+//! - `times`, optional: seconds after `t` at which each ray was measured, negative before it. Without them they are the
+//!   sensor's; if both are there, they must agree.
+//! - `twist`, optional: the robot's velocity while the rays were measured, `[vx, vy, vz, wx, wy, wz]` in metres and radians
+//!   per second, along and about the robot's own axes.
 //! - `odometry`, optional: the robot's motion since the previous frame, previous_robot_from_robot, as
 //!   `[x, y, z, roll_deg, pitch_deg, yaw_deg]` or `[x, y, z, qx, qy, qz, qw]`.
 //! - `reference`, optional: world_from_robot, in the same form.
@@ -20,7 +24,7 @@ use super::{Log, LogFrame, check_time};
 use crate::sensor_toml;
 use crate::text::{FORMAT, check_version, read_line};
 use presight_model::error::{Error, ErrorKind, Result};
-use presight_model::geometry::{Pose, RobotPose};
+use presight_model::geometry::{Pose, RobotPose, Twist};
 use presight_model::sensor::{Sensor, SensorSpec};
 use serde::de::IgnoredAny;
 use std::fs::File;
@@ -70,8 +74,8 @@ pub fn header(sensor: &SensorSpec) -> String {
 /// The line of a frame, without the line break. It reads back bit for bit.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if the time is not finite, an intensity is infinite or a pose is invalid: the line
-/// could not be read back.
+/// [`crate::ErrorKind::Invalid`] if a time is not finite, an intensity is infinite, or a pose or the twist is invalid: the
+/// line could not be read back.
 pub fn line(frame: &LogFrame) -> Result<String> {
     check_numbers(frame)?;
     let range: Vec<String> = frame.range.iter().map(|r| reading(*r)).collect();
@@ -79,6 +83,12 @@ pub fn line(frame: &LogFrame) -> Result<String> {
     if let Some(intensities) = &frame.intensities {
         let values: Vec<String> = intensities.iter().map(|v| reading(*v)).collect();
         text += &format!(",\"intensities\":[{}]", values.join(","));
+    }
+    if let Some(times) = &frame.times {
+        text += &format!(",\"times\":{times:?}");
+    }
+    if let Some(twist) = &frame.twist {
+        text += &format!(",\"twist\":{:?}", twist.to_array());
     }
     for (name, p) in [("odometry", frame.odometry), ("reference", frame.reference_pose())] {
         if let Some(p) = p {
@@ -97,6 +107,10 @@ fn check_numbers(frame: &LogFrame) -> Result<()> {
     if frame.intensities.iter().flatten().any(|v| v.is_infinite()) {
         return Err(place(Error::invalid("an intensity is infinite", "give intensities from 0 to 1")));
     }
+    if frame.times.iter().flatten().any(|t| !t.is_finite()) {
+        return Err(place(Error::invalid("a time of a ray is not finite", "give seconds after the time of the frame")));
+    }
+    frame.twist.map_or(Ok(()), |twist| super::check_twist(&twist)).map_err(place)?;
     [frame.odometry, frame.reference_pose()]
         .into_iter()
         .flatten()
@@ -132,8 +146,8 @@ impl Lines {
     }
 
     fn parse(&self, text: &str) -> Result<LogFrame> {
-        let Entry { t, range, intensities, odometry, reference } = serde_json::from_str(&with_quoted_words(text))
-            .map_err(|e| match e.is_eof() {
+        let Entry { t, range, intensities, times, twist, odometry, reference } =
+            serde_json::from_str(&with_quoted_words(text)).map_err(|e| match e.is_eof() {
                 true => Error::invalid("the line is cut in the middle", "delete it, or record the log again"),
                 false => Error::invalid(format!("not a valid frame: {e}"), REMEDY),
             })?;
@@ -146,6 +160,8 @@ impl Lines {
             time: t,
             range: range.into_iter().map(|r| r.0).collect(),
             intensities: intensities.map(|all| all.into_iter().map(|i| i.0).collect()),
+            times,
+            twist: twist.map(Twist::from_array),
             odometry: pose(odometry, "odometry")?,
             reference: pose(reference, "reference")?.map(RobotPose::new),
         };
@@ -198,6 +214,8 @@ struct Entry {
     t: f64,
     range: Vec<Reading>,
     intensities: Option<Vec<Reading>>,
+    times: Option<Vec<f32>>,
+    twist: Option<[f64; 6]>,
     odometry: Option<Vec<f64>>,
     reference: Option<Vec<f64>>,
 }

@@ -16,22 +16,25 @@ mod bag_options;
 pub mod document;
 mod frames;
 pub mod lines;
+mod notices;
+mod ray_times;
 mod readings;
+mod scan_motions;
 pub mod scans;
 #[cfg(test)]
 mod tests;
 
 pub use bag_options::BagOptions;
-pub use frames::{Frames, Observation};
+pub use frames::{Frames, Observation, Recorded};
 pub use readings::notice_of_readings;
 
 use super::file;
 use super::text::read_line;
-use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, RobotPose};
+use presight_model::error::{Error, ErrorKind, Result};
+use presight_model::geometry::{Pose, RobotPose, Twist};
 use presight_model::limits;
-use presight_model::measured::{GreyImage, Measurement, Motion, OdometryNoise, check_intensities};
-use presight_model::sensor::{Sensor, SensorSpec};
+use presight_model::measured::{Frame, GreyImage, Measurement, Motion, OdometryNoise, ScanMotion, check_intensities};
+use presight_model::sensor::{RayTimes, Sensor, SensorSpec};
 use std::io::{BufReader, Read};
 use std::path::Path;
 
@@ -46,6 +49,11 @@ pub struct LogFrame {
     pub range: Vec<f32>,
     /// Strength of the echo along each ray, from 0 to 1 (as bright as a retroreflector); NaN for no echo.
     pub intensities: Option<Vec<f32>>,
+    /// Seconds after `time` at which each ray was measured, row-major; negative before it. `None` if they are those of the
+    /// sensor.
+    pub times: Option<Vec<f32>>,
+    /// The robot's velocity while the rays were measured, along and about its own axes.
+    pub twist: Option<Twist>,
     /// The robot's motion since the previous frame, by its odometry: previous_robot_from_robot.
     pub odometry: Option<Pose>,
     /// A reference for the robot's pose. Estimates must not use it.
@@ -53,15 +61,52 @@ pub struct LogFrame {
 }
 
 impl LogFrame {
+    /// Ranges at a time, without anything else.
+    pub fn new(time: f64, range: Vec<f32>) -> Self {
+        Self { time, range, intensities: None, times: None, twist: None, odometry: None, reference: None }
+    }
+
+    /// A frame as a line of a log. Of the motion during the scan a line holds a constant twist only.
+    pub fn of(frame: &Frame, reference: Option<RobotPose>) -> Self {
+        let times = match &frame.sensor().spec().times {
+            RayTimes::Listed(times) => Some(times.to_vec()),
+            _ => None,
+        };
+        let twist = match frame.scan_motion() {
+            Some(ScanMotion::Twist(twist)) => Some(*twist),
+            _ => None,
+        };
+        Self {
+            time: frame.stamp,
+            range: frame.ranges().to_vec(),
+            intensities: frame.intensities().map(|i| i.values().to_vec()),
+            times,
+            twist,
+            odometry: frame.motion.map(|m| m.previous_from_current),
+            reference,
+        }
+    }
+
     /// Converts to a frame for the estimator. `noise` is the odometry's, which logs do not contain.
     ///
     /// # Errors
-    /// As [`presight_model::measured::Frame::new`].
-    pub fn into_frame(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<presight_model::measured::Frame> {
-        let mut frame =
-            presight_model::measured::Frame::new(self.time, sensor.clone(), Measurement::Range(self.range))?;
+    /// As [`Frame::new`]; [`presight_model::ErrorKind::Invalid`] if the times of the rays contradict those of the sensor.
+    pub fn into_frame(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<Frame> {
+        let sensor =
+            self.times.as_ref().map_or_else(|| Ok(sensor.clone()), |times| ray_times::listed(sensor, times))?;
+        self.into_frame_of(sensor, noise)
+    }
+
+    /// As [`Self::into_frame`], of the sensor with the frame's own times.
+    fn into_frame_of(self, sensor: Sensor, noise: &OdometryNoise) -> Result<Frame> {
+        let size = (sensor.width(), sensor.height());
+        let mut frame = Frame::new(self.time, sensor, Measurement::Range(self.range))?;
         if let Some(values) = self.intensities {
-            frame = frame.with_intensities(GreyImage::new(sensor.width(), sensor.height(), values)?)?;
+            frame = frame.with_intensities(GreyImage::new(size.0, size.1, values)?)?;
+        }
+        if let Some(twist) = self.twist {
+            check_twist(&twist)?;
+            frame = frame.with_scan_motion(ScanMotion::Twist(twist));
         }
         frame.motion = self.odometry.map(|motion| Motion::of_odometry(motion, noise));
         Ok(frame)
@@ -72,7 +117,8 @@ impl LogFrame {
         self.reference.map(|robot| robot.world_from_robot())
     }
 
-    /// Checks the size of the frame, that time and poses are finite, and that intensities are from 0 to 1.
+    /// Checks the size of the frame, that time, twist and poses are finite, that intensities are from 0 to 1, and that the
+    /// times of the rays do not contradict those of the sensor.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] naming the wrong value.
@@ -93,12 +139,27 @@ impl LogFrame {
             }
             check_intensities(intensities)?;
         }
+        if let Some(times) = &self.times {
+            ray_times::check(times, sensor)?;
+        }
+        if let Some(twist) = &self.twist {
+            check_twist(twist)?;
+        }
         let poses = [("odometry", self.odometry), ("reference", self.reference_pose())];
         for (name, pose) in poses {
-            pose.map_or(Ok(()), |p| p.check_as(presight_model::error::ErrorKind::Invalid)).map_err(|e| e.at(name))?;
+            pose.map_or(Ok(()), |p| p.check_as(ErrorKind::Invalid)).map_err(|e| e.at(name))?;
         }
         Ok(())
     }
+}
+
+/// Checks that a twist leads to a pose that is near enough.
+fn check_twist(twist: &Twist) -> Result<()> {
+    let far = |_| {
+        let what = format!("a twist of {} m/s and {} rad/s", twist.linear, twist.angular);
+        Error::invalid(what, "give metres and radians per second, along and about the axes of the robot")
+    };
+    twist.check().and_then(|()| twist.over(1.0).check_as(ErrorKind::Invalid)).map_err(|e| far(e).at("twist"))
 }
 
 /// The frames of one sensor, in the order of time. The first error ends them.

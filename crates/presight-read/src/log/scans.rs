@@ -1,7 +1,8 @@
 //! Scans of points (PLY, PCD, CSV: [`crate::cloud`]) and images of ranges (EXR) as frames: one file, or all files
 //! of a folder in the order of their names.
 //!
-//! If all names are numbers, they are the times in seconds; otherwise the times count up from 0.
+//! If all names are numbers, they are the times in seconds; otherwise the times count up from 0, unless the points have
+//! times of a clock: then the first of these is the stamp.
 //!
 //! **Points become a range image** with one ray per point, so that neither ranges nor directions are rounded. An
 //! organized cloud keeps its rows and columns. For other clouds, pixels are cells of azimuth and elevation, as wide as
@@ -15,14 +16,16 @@
 #[cfg(test)]
 mod tests;
 
-use super::{Observation, check_time};
+use super::notices::Notices;
+use super::{Observation, check_time, ray_times};
+use crate::cloud::{RaySeconds, ScanStamp};
 use crate::exr::KnownChannel;
 use crate::text::{check_json_memory, from_text};
 use crate::{cloud, exr, sensor_toml};
 use glam::{DQuat, DVec3};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, SensorPose};
-use presight_model::measured::{Frame, Measurement, RangeGrid, range_grid};
+use presight_model::measured::{Frame, Measurement, range_grid};
 use presight_model::sensor::{Geometry, Sensor, SensorSpec};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -34,6 +37,9 @@ pub struct Scans {
     sensor: Option<Sensor>,
     poses: HashMap<String, SensorPose>,
     time: Option<f64>,
+    /// True if the names of the files are their times.
+    is_timed: bool,
+    notices: Notices,
 }
 
 /// Returns true if a file has the ending of a scan.
@@ -56,29 +62,46 @@ impl Scans {
         }
         let poses = folder.join("poses.json");
         let poses = if poses.exists() { read_poses(&poses)? } else { HashMap::new() };
-        Ok(Self { files: timed(files).into_iter(), sensor: sensor.cloned(), poses, time: None })
+        let (is_timed, files) = timed(files);
+        let (sensor, notices) = (sensor.cloned(), Notices::default());
+        Ok(Self { files: files.into_iter(), sensor, poses, time: None, is_timed, notices })
+    }
+
+    /// The notices on the times of points, which grow as frames are read.
+    pub(super) fn notices(&self) -> Notices {
+        self.notices.clone()
     }
 
     fn read(&mut self, time: f64, path: &Path) -> Result<Observation> {
-        check_time(self.time, time)?;
-        self.time = Some(time);
         let (frame, in_file) = match cloud::ending(path).as_str() {
             "exr" => self.of_image(time, path)?,
             _ => self.of_points(time, path)?,
         };
+        check_time(self.time, frame.stamp)?;
+        self.time = Some(frame.stamp);
         let known = self.poses.get(&stem(path)).copied().or(in_file);
-        Ok(Observation { reference: known.map(|pose| pose.robot(frame.sensor())), frame })
+        Ok(Observation { reference: known.map(|pose| pose.robot(frame.sensor())), frame, recorded: None })
     }
 
     fn of_points(&self, time: f64, path: &Path) -> Result<(Frame, Option<SensorPose>)> {
         let cloud = cloud::read(path)?;
-        let RangeGrid { table, ranges } = range_grid(&cloud.points, cloud.size)?;
-        let geometry = Geometry::Rays(table);
-        let spec = match &self.sensor {
-            Some(sensor) => sensor.spec().clone().with_geometry(geometry),
+        let grid = range_grid(&cloud.points, cloud.size)?;
+        let stamp = if self.is_timed { ScanStamp::Known(time) } else { ScanStamp::Counted(time) };
+        let is_measured = |i: usize| cloud.points[i].length_squared() > 0.0;
+        let taken = cloud.times.map(|times| times.after(stamp, None, is_measured)).transpose()?;
+        let RaySeconds { stamp, seconds, notices } = taken.unwrap_or(RaySeconds::none(time));
+        notices.into_iter().for_each(|notice| self.notices.add(notice));
+        let own = seconds.map(|seconds| grid.spread(&seconds));
+        let given = self.sensor.as_ref().map(Sensor::spec);
+        let size = (grid.table.width(), grid.table.height());
+        let (times, notice) = ray_times::of_cloud(own, given, size, cloud.size.is_some())?;
+        notice.into_iter().for_each(|notice| self.notices.add(notice));
+        let geometry = Geometry::Rays(grid.table);
+        let spec = match given {
+            Some(spec) => spec.clone().with_geometry(geometry),
             None => SensorSpec::new(stem(path), "laser", geometry),
         };
-        let frame = Frame::new(time, Sensor::new(spec)?, Measurement::Range(ranges))?;
+        let frame = Frame::new(stamp, Sensor::new(spec.with_times(times))?, Measurement::Range(grid.ranges))?;
         Ok((frame, cloud.pose))
     }
 
@@ -142,15 +165,15 @@ fn listed(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Pairs each file with its time, in the order of time.
-fn timed(files: Vec<PathBuf>) -> Vec<(f64, PathBuf)> {
+/// Pairs each file with its time, in the order of time; true if the names are the times.
+fn timed(files: Vec<PathBuf>) -> (bool, Vec<(f64, PathBuf)>) {
     let named = |path: &PathBuf| stem(path).parse::<f64>().ok().filter(|t| t.is_finite());
     let Some(times) = files.iter().map(named).collect::<Option<Vec<f64>>>() else {
-        return files.into_iter().enumerate().map(|(i, path)| (i as f64, path)).collect();
+        return (false, files.into_iter().enumerate().map(|(i, path)| (i as f64, path)).collect());
     };
     let mut timed: Vec<(f64, PathBuf)> = times.into_iter().zip(files).collect();
     timed.sort_by(|a, b| a.0.total_cmp(&b.0));
-    timed
+    (true, timed)
 }
 
 #[derive(serde::Deserialize)]

@@ -40,29 +40,35 @@ proptest! {
         bright in prop::option::of(
             prop::array::uniform3(prop_oneof![0.0..=1f32, Just(0.0), Just(1.0), Just(f32::NAN)])
         ),
+        late in prop::option::of(prop::array::uniform3(-60.0..=60f32)),
     ) {
         let odometry = moved.map(|[x, y, yaw]| Pose::from_xyz_rpy(DVec3::new(x, y, 0.1), 0.2, 0.3, yaw));
         let intensities = bright.map(|all| all.to_vec());
         let reference = odometry.map(RobotPose::new);
-        let frame = LogFrame { time, range: range.to_vec(), intensities, odometry, reference };
+        let twist = moved.map(|[x, y, yaw]| Twist::from_array([x, y, 0.1, 0.2, -0.3, yaw]));
+        let times = late.map(|all| all.to_vec());
+        let frame = LogFrame { time, range: range.to_vec(), intensities, times, twist, odometry, reference };
         let read = frames(&log(&[&lines::line(&frame).unwrap(), ""])).unwrap();
         prop_assert_eq!(read.len(), 1);
         let bits = |all: &[f32]| all.iter().map(|r| if r.is_nan() { 0 } else { r.to_bits() }).collect::<Vec<_>>();
         let kept = |f: &LogFrame| (bits(&f.range), f.intensities.as_deref().map(bits));
         prop_assert_eq!(kept(&read[0]), kept(&frame));
         prop_assert_eq!((read[0].time, read[0].odometry, read[0].reference), (time, odometry, reference));
+        prop_assert_eq!((&read[0].times, read[0].twist), (&frame.times, twist));
     }
 }
 
 #[test]
 fn what_a_line_cannot_hold_is_refused() {
-    let sound = LogFrame { time: 1.0, range: vec![2.0], intensities: Some(vec![0.5]), odometry: None, reference: None };
+    let sound = LogFrame { intensities: Some(vec![0.5]), ..LogFrame::new(1.0, vec![2.0]) };
     let far = Pose { translation: DVec3::new(f64::NAN, 0.0, 0.0), ..Pose::IDENTITY };
     for (frame, words) in [
         (LogFrame { time: f64::NAN, ..sound.clone() }, "time is NaN s"),
         (LogFrame { time: f64::INFINITY, ..sound.clone() }, "time is inf s"),
         (LogFrame { intensities: Some(vec![f32::INFINITY]), ..sound.clone() }, "an intensity is infinite"),
         (LogFrame { odometry: Some(far), ..sound.clone() }, "is not finite"),
+        (LogFrame { times: Some(vec![f32::NAN]), ..sound.clone() }, "a time of a ray is not finite"),
+        (LogFrame { twist: Some(Twist::new(DVec3::X * f64::INFINITY, DVec3::ZERO)), ..sound.clone() }, "a twist of"),
     ] {
         let e = lines::line(&frame).unwrap_err();
         assert!(e.kind() == ErrorKind::Invalid && e.to_string().contains(words), "{e}");
@@ -130,6 +136,11 @@ fn what_is_wrong_is_kept_with_file_and_line() {
         (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0, 1, 1e300]}"#, "intensity 2"),
         (r#"{"t": 2, "range": [2, 2, 2], "intensities": [0, 1, "inf"]}"#, "intensity 2: an intensity of inf"),
         (r#"{"t": 2, "range": [2, 2, 2], "intensity": [0, 1, 1]}"#, "not a valid frame"),
+        (r#"{"t": 2, "range": [2, 2, 2], "times": [0, 0.1]}"#, "times: 2 times for 3 x 1 rays"),
+        (r#"{"t": 2, "range": [2, 2, 2], "times": [0, 0.1, 1e8]}"#, "ray 2: a time of 100000000 s"),
+        (r#"{"t": 2, "range": [2, 2, 2], "times": [0, 0.1, null]}"#, "not a valid frame"),
+        (r#"{"t": 2, "range": [2, 2, 2], "twist": [1, 0, 0]}"#, "not a valid frame"),
+        (r#"{"t": 2, "range": [2, 2, 2], "twist": [1e300, 0, 0, 0, 0, 1]}"#, "a twist of"),
         ("nonsense", "not a valid frame"),
     ];
     for (line, what) in cases {

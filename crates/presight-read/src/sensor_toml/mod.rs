@@ -1,4 +1,4 @@
-//! Sensor TOML, `format = 1`. Unknown keys are errors. Angles are degrees in keys that end in `_deg`.
+//! Sensor TOML, `format = 1` or 2. Unknown keys are errors. Angles are degrees in keys that end in `_deg`.
 //!
 //! ```toml
 //! format = 1
@@ -10,6 +10,7 @@
 //! max_incidence_deg = 80.0    # optional: features seen at a flatter angle are not extracted
 //! beam_height_deg = 2.0       # scanner, optional: height of a beam, within which a row sees features
 //! turn_s = 0.1                # optional: seconds from the first column to one step behind the last, default 0
+//! stamp = "last"              # optional: the stamp is that of the "first" (default), "middle" or "last" ray
 //!
 //! [azimuth]                   # scanner: beam i is column i, counter-clockwise about +z
 //! start_deg = -180.0
@@ -42,6 +43,32 @@
 //! image to the optical frame of the camera. `kind = "rays"`: `width, height` and `directions = [[x, y, z], ..]`,
 //! row-major, body axes, `nan` for no ray; or `file = "X.csv"`, relative to the sensor file, with one direction `x,y,z`
 //! per line and `#` for comments.
+//!
+//! `format = 2` has `[timing]` in place of `turn_s` and `stamp`; a scanner may have `[beams]` in place of
+//! `[elevation]`, and rays may have `origins = [[x, y, z], ..]`, metres:
+//!
+//! ```toml
+//! [beams]                     # rows in this order; lists have one value for each row, and those left out are zeros
+//! elevations_deg = [15.0, 0.0, -15.0]
+//! azimuth_offsets_deg = [1.5, 0.0, -1.5]  # added to the azimuth of the column
+//! origins = [[0.02, 0.0, 0.01]]  # where beams leave the sensor, metres, turned with the column; one for all rows
+//! range_lead = 0.02           # ranges count from this many metres behind the origins
+//! time_offsets_s = [0.0, 2.3e-6, 4.6e-6]  # added to the time of the column
+//! shifts = [0, 4, 8]          # columns by which rows move to the right in a destaggered image
+//! destaggered = false         # whether they are moved
+//! columns = [0, 1023]         # the first and the last column with rays; the first may be the greater one
+//! body_from_head = { xyz = [0.0, 0.0, 0.036], rpy_deg = [0.0, 0.0, 180.0] }  # the head's frame at azimuth 0
+//!
+//! [timing]
+//! turn_s = 0.1                # or readout_s, row by row; or times_s = [..], seconds after the stamp for each ray
+//! stamp = "first"             # with turn_s and readout_s
+//!
+//! [pattern]                   # rays of one row, in place of directions and [timing]
+//! duration_s = 0.1            # from the first ray to one step behind the last
+//! turns = 1.0                 # of the azimuth in that time, from x counter-clockwise
+//! swings = 170.0              # of the elevation, from the lower end up and down again
+//! elevation_deg = [-7.0, 52.0]
+//! ```
 
 mod file;
 mod tables;
@@ -50,8 +77,8 @@ mod tests;
 
 pub(super) use tables::MountTable;
 
-use super::text::{check_format, from_settings, toml_from_str};
-use file::{CameraFile, RaysFile, ScannerFile};
+use super::text::{check_version, from_settings, toml_from_str};
+use file::{BEAMS_FORMAT, CameraFile, RaysFile, ScannerFile};
 use presight_model::error::{Error, Result};
 use presight_model::sensor::{Geometry, SensorSpec};
 use serde::Deserialize;
@@ -72,12 +99,14 @@ pub fn read(path: &Path) -> Result<SensorSpec> {
 /// # Errors
 /// As [`read`], without the file.
 pub fn parse(text: &str, name: &str, folder: Option<&Path>) -> Result<SensorSpec> {
-    check_format(text)?;
     #[derive(Deserialize)]
     struct Header {
+        format: Option<i64>,
         kind: Option<String>,
     }
-    match toml_from_str::<Header>(text)?.kind.as_deref() {
+    let header: Header = toml_from_str(text)?;
+    check_version(header.format, BEAMS_FORMAT, "format = 1")?;
+    match header.kind.as_deref() {
         Some("camera") => toml_from_str::<CameraFile>(text)?.spec(name),
         Some("scanner") => toml_from_str::<ScannerFile>(text)?.spec(name),
         Some("rays") => toml_from_str::<RaysFile>(text)?.spec(name, folder),
@@ -106,7 +135,10 @@ pub fn to_string(spec: &SensorSpec) -> String {
     let text = match &spec.geometry {
         Geometry::Camera(camera) => toml::to_string(&CameraFile::of(camera, spec)),
         Geometry::Scanner(scanner) => toml::to_string(&ScannerFile::of(scanner, spec)),
-        Geometry::Rays(table) => toml::to_string(&RaysFile::of(table, spec)),
+        Geometry::Rays(table) => match ScannerFile::of_beams(table, spec) {
+            Some(file) => toml::to_string(&file),
+            None => toml::to_string(&RaysFile::of(table, spec)),
+        },
     };
     text.expect("numbers, strings and lists of numbers are TOML")
 }

@@ -41,6 +41,82 @@ model = \"kannala_brandt\"
 coefficients = [0.1, 0, 0, 0]
 ";
 
+const BEAMS: &str = "format = 2
+kind = \"scanner\"
+range_max = 10
+[azimuth]
+start_deg = 0
+step_deg = -5
+count = 72
+[beams]
+elevations_deg = [15.0, 0.0, -15.0]
+azimuth_offsets_deg = [1.5, 0.0, -1.5]
+origins = [[0.02, 0.0, 0.01]]
+range_lead = 0.02
+time_offsets_s = [0.0, 0.001, 0.002]
+shifts = [0, 4, 8]
+destaggered = true
+columns = [3, 60]
+body_from_head = { xyz = [0.0, 0.0, 0.036], rpy_deg = [0.0, 0.0, 180.0] }
+[timing]
+turn_s = 0.1
+stamp = \"last\"
+";
+
+const RAYS: &str = "format = 2
+kind = \"rays\"
+width = 2
+height = 1
+directions = [[1, 0, 0], [0, 1, 0]]
+origins = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]
+[timing]
+times_s = [0.0, 0.1]
+";
+
+#[test]
+fn every_key_of_format_2_arrives() {
+    let s = parse(BEAMS, "lidar", None).unwrap();
+    let Geometry::Rays(table) = &s.geometry else { panic!("no rays") };
+    let beams = table.beams().unwrap();
+    assert_eq!((beams.turn_s, beams.stamp, beams.is_destaggered), (0.1, StampAt::Last, true));
+    assert_eq!((beams.origins.len(), beams.range_lead, beams.columns), (1, 0.02, Some([3, 60])));
+    assert_eq!(s.times, beams.times());
+    assert!((beams.body_from_head.transform_point(DVec3::X) - DVec3::new(-1.0, 0.0, 0.036)).length() < 1e-15);
+    // The file stays a table of beams, and one of rays with times once they are no longer its own.
+    let text = to_string(&s);
+    assert!(text.len() < 1000 && text.contains("[beams]"), "{text}");
+    assert_eq!(parse(&text, "", None).unwrap(), s);
+    let other = s.clone().with_times(RayTimes::turning(0.2, StampAt::First));
+    assert!(!to_string(&other).contains("[beams]"));
+    assert_eq!(parse(&to_string(&other), "", None).unwrap(), other);
+
+    let rays = parse(RAYS, "rays", None).unwrap();
+    assert_eq!(rays.times, RayTimes::Listed(vec![0.0, 0.1].into()));
+    assert_eq!(parse(&to_string(&rays), "", None).unwrap(), rays);
+    let camera = CAMERA.replace("format = 1", "format = 2") + "[timing]\nreadout_s = 0.03\nstamp = \"middle\"\n";
+    let camera = parse(&camera, "eye", None).unwrap();
+    assert_eq!(camera.times, RayTimes::Rows { readout_s: 0.03, stamp: StampAt::Middle });
+    assert_eq!(parse(&to_string(&camera), "", None).unwrap(), camera);
+    let first = SCANNER.replace("range_max = 10", "turn_s = -0.1\nstamp = \"middle\"");
+    let first = parse(&first, "s", None).unwrap();
+    assert_eq!(first.times, RayTimes::Columns { turn_s: -0.1, stamp: StampAt::Middle });
+    assert!(to_string(&first).starts_with("format = 1"));
+    assert_eq!(parse(&to_string(&first), "", None).unwrap(), first);
+}
+
+/// By hand: in a frame of eight rays that swings twice, ray 1 has swung up by half and turned by 45 degrees.
+#[test]
+fn a_pattern_turns_while_it_swings() {
+    let text = "format = 2\nkind = \"rays\"\nwidth = 8\nheight = 1\n[pattern]\nduration_s = 0.8\nturns = 1.0\n\
+        swings = 2.0\nelevation_deg = [-30.0, 90.0]\n";
+    let spec = parse(text, "p", None).unwrap();
+    let Geometry::Rays(table) = &spec.geometry else { panic!("no rays") };
+    let (x, z) = (30f64.to_radians().cos() * 0.5f64.sqrt(), 0.5);
+    assert!(table.directions()[1].distance(DVec3::new(x, x, z)) < 1e-15, "{}", table.directions()[1]);
+    assert!(table.directions()[2].distance(DVec3::Z) < 1e-15);
+    assert_eq!(spec.times, RayTimes::Listed((0..8).map(|i| (0.8 * f64::from(i) / 8.0) as f32).collect()));
+}
+
 #[test]
 fn every_key_arrives() {
     let s = parse(SCANNER, "front", None).unwrap();
@@ -82,7 +158,7 @@ fn ray_tables_come_from_the_text_or_from_a_file_beside_it() {
 #[test]
 fn faults_are_refused_with_place_and_remedy() {
     let cases = [
-        (SCANNER, "format = 1", "format = 2", "newer"),
+        (SCANNER, "format = 1", "format = 3", "newer"),
         (SCANNER, "format = 1", "", "format = 1"),
         (SCANNER, "\"scanner\"", "\"scaner\"", "scaner"),
         (SCANNER, "kind = \"scanner\"", "", "kind is missing"),
@@ -110,6 +186,33 @@ fn faults_are_refused_with_place_and_remedy() {
         (SCANNER, "range_sigma = 0.01", "stamp_sigma_s = -1.0", "noise"),
         (SCANNER, "range_max = 10", "turn_s = 61", "turn_s"),
         (SCANNER, "range_max = 10", "turn_s = nan", "turn_s"),
+        (SCANNER, "range_max = 10", "stamp = \"end\"", "line 3"),
+        (SCANNER, "[noise]", "[timing]\nturn_s = 0.1\n[noise]", "[timing]: format 1"),
+        (BEAMS, "format = 2", "format = 1", "[beams]: format 1"),
+        (BEAMS, "range_max = 10", "turn_s = 0.1", "keys of format 1"),
+        (BEAMS, "range_max = 10", "beam_height_deg = 1.0", "either [elevation] or [beams]"),
+        (BEAMS, "[timing]", "[elevation]\nangles_deg = [1.0]\n[timing]", "either [elevation] or [beams]"),
+        (BEAMS, "[1.5, 0.0, -1.5]", "[1.5, 0.0]", "[beams]: azimuth_offsets_deg: 2 values for 3 beams"),
+        (BEAMS, "[15.0, 0.0, -15.0]", "[15000.0, 0.0, -15.0]", "[beams]: elevations_deg"),
+        (BEAMS, "[[0.02, 0.0, 0.01]]", "[[0.02, 0.0, 12.0]]", "[beams]: origins"),
+        (BEAMS, "[[0.02, 0.0, 0.01]]", "[[0.02, 0.0, nan]]", "[beams]: origins"),
+        (BEAMS, "shifts = [0, 4, 8]", "shifts = [0, 0, 0]", "[beams]: shifts: a destaggered image"),
+        (BEAMS, "columns = [3, 60]", "columns = [3, 72]", "[beams]: columns"),
+        (BEAMS, "turn_s = 0.1", "turn_s = 61", "turn_s"),
+        (BEAMS, "turn_s = 0.1", "readout_s = 0.1", "[timing]: beams turn by columns"),
+        (BEAMS, "turn_s = 0.1", "turn_s = \"0.1\"", "line 1"),
+        (RAYS, "times_s = [0.0, 0.1]", "times_s = [0.0]", "1 times for 2 x 1"),
+        (RAYS, "times_s = [0.0, 0.1]", "times_s = [0.0, nan]", "ray 1"),
+        (RAYS, "times_s = [0.0, 0.1]", "times_s = [0.0, 0.1]\nturn_s = 0.1", "[timing]: not one way"),
+        (RAYS, "times_s = [0.0, 0.1]", "stamp = \"last\"", "[timing]: not one way"),
+        (RAYS, "[0.0, 0.0, 0.1]", "[0.0, 0.0, 2.1]", "origins: ray 1"),
+        (RAYS, "format = 2", "format = 1", "origins: format 1"),
+        (
+            RAYS,
+            "[timing]\ntimes_s = [0.0, 0.1]",
+            "[pattern]\nduration_s = 1.0\nturns = 1.0\nswings = 1.0\nelevation_deg = [0.0, 1.0]",
+            "directions, file or [pattern]",
+        ),
         (CAMERA, "width = 640", "width = 0", "0 x 480"),
         (CAMERA, "height = 480", "height = 100000", "640 x 100000"),
         (CAMERA, "fx = 500", "fx = nan", "intrinsics"),
@@ -196,7 +299,8 @@ proptest! {
             spec.optical_from_image = spec.mount.rotation;
         }
         let mixture = Mixture { hit: 0.5, short: 0.25, none: 0.125, any: 0.125, beam_dependence: 1.0 + sigma };
-        spec.times = RayTimes::turning(if far { -sigma } else { 0.0 }, StampAt::First);
+        let stamp = [StampAt::First, StampAt::Middle, StampAt::Last][(incidence % 3) as usize];
+        spec.times = RayTimes::turning(if far { -sigma } else { 0.0 }, stamp);
         spec.noise = Noise {
             range_sigma: sigma,
             stamp_sigma: if far { sigma / 3.0 } else { 0.0 },

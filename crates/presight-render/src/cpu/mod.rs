@@ -180,6 +180,11 @@ impl CpuEngine {
     /// images are then still empty.
     fn draw(&mut self, plan: &FramePlan, images: &mut Images, stats: &mut Stats) -> Result<Option<u32>> {
         plan.world_from_sensor.check()?;
+        if plan.bundles().is_some() {
+            // The raster has one pose, so a lack of memory is an error.
+            self.draw_tiles(plan, images, stats)?;
+            return Ok(None);
+        }
         if plan.way() == Way::Tiles {
             if self.try_tiles(plan, images, stats)? {
                 return Ok(None);

@@ -69,7 +69,9 @@ pub(super) fn resolve(
     let spec = plan.sensor.spec();
     let (range_min, range_max, min_inverse) = (spec.range_min, spec.range_max, min_inverse(complete_to.into()));
     let counts = plan.limit.is_some();
-    let mut painter = Painter { shades, range_min, range_max, min_inverse, given_up: 0, counts, written: 0, target };
+    let lead = plan.sensor.range_lead();
+    let mut painter =
+        Painter { shades, range_min, range_max, lead, min_inverse, given_up: 0, counts, written: 0, target };
     let lines = bands.lines(band);
     match (bands.axis, plan.sensor.grid()) {
         (LineAxis::Columns, _) => columns(&mut painter, buffer, lines.len(), bands.samples),
@@ -225,6 +227,8 @@ struct Painter<'t, 'a> {
     shades: &'t [Shade],
     range_min: f64,
     range_max: f64,
+    /// Added to the distance from where a ray starts.
+    lead: f64,
     /// Minimum inverse depth of final samples; 0 if all polygons were drawn.
     min_inverse: f64,
     given_up: u64,
@@ -269,7 +273,7 @@ impl Painter<'_, '_> {
         }
         let (mut exact, mut range) = ([0.0; TOGETHER], [0.0; TOGETHER]);
         for i in 0..TOGETHER {
-            exact[i] = 1.0 / inverse[i];
+            exact[i] = 1.0 / inverse[i] + self.lead;
             range[i] = metres(exact[i], exact[i], self.range_min, self.range_max);
         }
         // Ids and angle are kept below range_min. At infinity and without a ray there is no polygon.

@@ -107,11 +107,15 @@ impl FramePlan {
         normals.clear();
         memory::reserve(&mut normals, images.polygon_id.len())?;
         let mut of_polygons = Normals::new(self);
-        let mut last = ((0, 0), NO_NORMAL);
-        for seen in images.object_id.iter().copied().zip(images.polygon_id.iter().copied()) {
+        let mut last = ((0, 0, 0), NO_NORMAL);
+        let width = images.width as usize;
+        for (at, (object, polygon)) in images.object_id.iter().zip(&images.polygon_id).enumerate() {
+            let bundle =
+                self.bundles().map_or(0, |poses| poses.bundles().of_pixel((at % width) as u32, (at / width) as u32));
+            let seen = (bundle, *object, *polygon);
             // Neighbouring pixels mostly show the same polygon.
             if seen != last.0 {
-                last = (seen, of_polygons.of(seen.0, seen.1));
+                last = (seen, of_polygons.of(bundle, *object, *polygon));
             }
             normals.push(last.1);
         }
@@ -146,10 +150,10 @@ struct Normals<'a> {
     plan: &'a FramePlan,
     polygons: PolygonsOfIds<'a>,
     body_from_image: DMat3,
-    /// By object index.
-    instances: HashMap<u32, Instance>,
-    /// By object_id and polygon_id.
-    known: HashMap<(u32, u32), [f32; 3]>,
+    /// By bundle and object index.
+    instances: HashMap<(u32, u32), Instance>,
+    /// By bundle, object_id and polygon_id.
+    known: HashMap<(u32, u32, u32), [f32; 3]>,
 }
 
 impl<'a> Normals<'a> {
@@ -159,14 +163,16 @@ impl<'a> Normals<'a> {
         Self { plan, polygons, body_from_image, instances: HashMap::new(), known: HashMap::new() }
     }
 
-    /// The normal for an object_id and polygon_id.
-    fn of(&mut self, object_id: u32, polygon_id: u32) -> [f32; 3] {
-        let seen = (object_id, polygon_id);
+    /// The normal for a bundle, an object_id and a polygon_id.
+    fn of(&mut self, bundle: u32, object_id: u32, polygon_id: u32) -> [f32; 3] {
+        let seen = (bundle, object_id, polygon_id);
         if let Some(normal) = self.known.get(&seen) {
             return *normal;
         }
         let normal = self.polygons.find(object_id, polygon_id).map_or(NO_NORMAL, |(object, polygon)| {
-            let instance = self.instances.entry(object).or_insert_with(|| self.plan.instance_of(object));
+            let plan = self.plan;
+            let pose = plan.bundles().map_or(&plan.world_from_sensor, |poses| &poses.poses()[bundle as usize]);
+            let instance = self.instances.entry((bundle, object)).or_insert_with(|| plan.instance_from(pose, object));
             let mesh = &self.plan.environment().objects()[object as usize].mesh;
             (self.body_from_image * facing_normal(instance, mesh, polygon)).as_vec3().to_array()
         });

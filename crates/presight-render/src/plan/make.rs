@@ -4,8 +4,10 @@ use super::{ChosenWay, FramePlan, ImageRequest, PlanBuffers, TimeLimit, Way, reg
 use crate::row::RowCut;
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
+use presight_model::measured::ScanPoses;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
+use std::borrow::Cow;
 use std::sync::Arc;
 
 impl FramePlan {
@@ -30,6 +32,9 @@ impl FramePlan {
         world_from_sensor: &Pose,
         request: ImageRequest,
     ) -> Result<Self> {
+        if let Some(poses) = ScanPoses::new(sensor, world_from_sensor, None)? {
+            return Self::in_bundles(buffers, world, sensor, world_from_sensor, request, poses);
+        }
         let region = region_of(sensor, world_from_sensor)?;
         let mut plan = Self::unfilled(buffers, world, sensor, world_from_sensor, request);
         plan.fill(&region);
@@ -78,6 +83,7 @@ impl FramePlan {
             reuse_visible: false,
             chosen: ChosenWay::RASTER,
             cut: None,
+            bundles: None,
             found,
             selected,
         }
@@ -96,8 +102,9 @@ impl FramePlan {
         world_from_sensor: &Pose,
         request: ImageRequest,
     ) -> Result<Self> {
-        if chosen.way != Way::Tiles {
+        if chosen.way != Way::Tiles || sensor.has_origins() {
             let plan = Self::within(buffers, world, sensor, world_from_sensor, request)?;
+            let chosen = if plan.bundles.is_some() { plan.chosen } else { chosen };
             return Ok(Self { chosen, ..plan });
         }
         world_from_sensor.check()?;
@@ -105,6 +112,62 @@ impl FramePlan {
         plan.clear();
         plan.find_facings();
         Ok(plan)
+    }
+
+    /// Plans a prediction whose rays have poses of their own, by tiles, without a selection. Only the CPU engine and the
+    /// reference draw it. Sensors that stand and whose rays have origins get such a plan from every constructor.
+    ///
+    /// # Errors
+    /// Same as [`Pose::check`].
+    pub fn in_bundles(
+        buffers: PlanBuffers,
+        world: &World,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        request: ImageRequest,
+        poses: ScanPoses,
+    ) -> Result<Self> {
+        world_from_sensor.check()?;
+        let mut plan = Self::unfilled(buffers, world, sensor, world_from_sensor, request);
+        plan.take_bundles(poses);
+        Ok(plan)
+    }
+
+    pub(super) fn take_bundles(&mut self, poses: ScanPoses) {
+        self.clear();
+        self.find_facings();
+        (self.chosen, self.bundles) = (ChosenWay::BUNDLES, Some(Arc::new(poses)));
+    }
+
+    /// The poses of bundles of rays; `None` if one pose holds for all rays.
+    pub fn bundles(&self) -> Option<&ScanPoses> {
+        self.bundles.as_deref()
+    }
+
+    /// A plan without a selection for the rays of one bundle, for the reference and its comparisons.
+    pub(crate) fn of_bundle(&self, bundle: u32) -> Self {
+        let buffers = PlanBuffers { facings: self.facings.clone(), ..PlanBuffers::default() };
+        let pose = self.bundles.as_ref().map_or(self.world_from_sensor, |poses| poses.poses()[bundle as usize]);
+        Self::unfilled(buffers, &self.world, &self.sensor, &pose, self.request)
+    }
+
+    /// Groups values by the bundle of their pixel (column, row), with the plan of each bundle. One group with this plan
+    /// if one pose holds for all.
+    pub(crate) fn by_bundle<T>(
+        &self,
+        values: impl Iterator<Item = T>,
+        pixel: impl Fn(&T) -> (u32, u32),
+    ) -> Vec<(Cow<'_, Self>, Vec<T>)> {
+        let Some(poses) = self.bundles() else { return vec![(Cow::Borrowed(self), values.collect())] };
+        let bundles = poses.bundles();
+        let mut grouped: Vec<Vec<T>> = Vec::new();
+        grouped.resize_with(bundles.len(), Vec::new);
+        for value in values {
+            let (column, row) = pixel(&value);
+            grouped[bundles.of_pixel(column, row) as usize].push(value);
+        }
+        let groups = (0..).zip(grouped).filter(|(_, group)| !group.is_empty());
+        groups.map(|(bundle, group)| (Cow::Owned(self.of_bundle(bundle)), group)).collect()
     }
 
     /// Strategy of the CPU engine for this plan: [`Way::Tiles`] for plans without a selection.

@@ -35,6 +35,7 @@ use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::index::{ObjectRun, QueryResult, Region};
+use presight_model::measured::ScanPoses;
 use presight_model::sensor::{ImagePart, PixelGrid, STRIDES, Sensor};
 use presight_model::world::World;
 use std::borrow::Cow;
@@ -53,6 +54,8 @@ pub struct Instance {
     pub center_in_mesh: DVec3,
     /// Transforms mesh normals into the image frame (inverse transpose of the linear part); does not preserve length.
     pub normal_from_mesh: DMat3,
+    /// Transforms mesh normals into the frame of the object.
+    object_from_normal: DMat3,
     /// Frobenius norms of `image_from_mesh` and `normal_from_mesh`.
     pub(crate) norms: [f64; 2],
     /// True if the linear part mirrors.
@@ -71,21 +74,38 @@ impl Instance {
         object: u32,
     ) -> Self {
         let o = &environment.objects()[object as usize];
-        let world_from_image = world_from_sensor.rotation_matrix() * sensor.body_from_image();
-        let object_from_mesh = o.object_from_mesh;
-        let image_from_object = world_from_image.transpose() * o.world_from_object.rotation_matrix();
-        let image_from_mesh = image_from_object * object_from_mesh.matrix3;
         let plain = o.mesh.materials().iter().all(|m| {
             let f = facings[usize::from(*m)];
             f.opaque && !f.one_sided
         });
-        let normal_from_mesh = image_from_object * object_from_mesh.matrix3.inverse().transpose();
+        let object_from_normal = o.object_from_mesh.matrix3.inverse().transpose();
+        Self::seen_from(environment, sensor, world_from_sensor, object, (object_from_normal, plain))
+    }
+
+    /// The same object, seen from another pose.
+    pub(crate) fn again(&self, environment: &Environment, sensor: &Sensor, world_from_sensor: &Pose) -> Self {
+        Self::seen_from(environment, sensor, world_from_sensor, self.object, (self.object_from_normal, self.plain))
+    }
+
+    fn seen_from(
+        environment: &Environment,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        object: u32,
+        (object_from_normal, plain): (DMat3, bool),
+    ) -> Self {
+        let o = &environment.objects()[object as usize];
+        let world_from_image = world_from_sensor.rotation_matrix() * sensor.body_from_image();
+        let image_from_object = world_from_image.transpose() * o.world_from_object.rotation_matrix();
+        let image_from_mesh = image_from_object * o.object_from_mesh.matrix3;
+        let normal_from_mesh = image_from_object * object_from_normal;
         let norm = |m: DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
         Self {
             object,
             image_from_mesh,
             center_in_mesh: o.point_in_mesh(world_from_sensor.translation),
             normal_from_mesh,
+            object_from_normal,
             norms: [image_from_mesh, normal_from_mesh].map(norm),
             mirrors: image_from_mesh.determinant() < 0.0,
             plain,
@@ -149,6 +169,8 @@ pub struct FramePlan {
     chosen: ChosenWay,
     /// For a level scanner of one row: the cut of the world at its height, in place of runs.
     pub(crate) cut: Option<Arc<RowCut>>,
+    /// The poses of bundles of rays, if no single pose holds for all rays; then nothing is selected.
+    bundles: Option<Arc<ScanPoses>>,
     /// Scratch memory, kept from frame to frame.
     found: QueryResult,
     selected: Vec<ObjectRun>,
@@ -300,6 +322,7 @@ impl FramePlan {
             reuse_visible: false,
             chosen: self.chosen,
             cut: None,
+            bundles: None,
             found: QueryResult::default(),
             selected: Vec::new(),
         })
@@ -348,8 +371,11 @@ impl FramePlan {
         self.request = request.into();
         self.reuse_visible = false;
         self.chosen = ChosenWay::RASTER;
-        let region = region_of(sensor, world_from_sensor)?;
-        self.fill(&region);
+        self.bundles = None;
+        match ScanPoses::new(sensor, world_from_sensor, None)? {
+            Some(poses) => self.take_bundles(poses),
+            None => self.fill(&region_of(sensor, world_from_sensor)?),
+        }
         Ok(())
     }
 
@@ -360,7 +386,12 @@ impl FramePlan {
 
     /// Any object as the sensor sees it, even if it was not selected.
     pub fn instance_of(&self, object: u32) -> Instance {
-        Instance::new(self.world.environment(), &self.sensor, &self.world_from_sensor, &self.facings, object)
+        self.instance_from(&self.world_from_sensor, object)
+    }
+
+    /// Any object as the sensor sees it from a pose.
+    pub fn instance_from(&self, world_from_sensor: &Pose, object: u32) -> Instance {
+        Instance::new(self.world.environment(), &self.sensor, world_from_sensor, &self.facings, object)
     }
 
     /// The `polygon_id` of a polygon.

@@ -72,6 +72,9 @@ impl ChosenWay {
     /// Strategy of plans without a selection.
     pub const TILES: Self = Self { way: Way::Tiles, why: "this way was requested", at_once: true, ..Self::RASTER };
 
+    /// Strategy of plans whose rays have poses of their own.
+    pub const BUNDLES: Self = Self { why: "the rays have origins or times of their own", ..Self::TILES };
+
     /// Strategy of plans with a selection if many polygons are left after the first wave.
     pub const AFTER_A_WAVE: Self =
         Self { why: "too many polygons may show after the first wave", at_once: false, ..Self::TILES };

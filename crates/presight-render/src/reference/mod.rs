@@ -59,7 +59,12 @@ pub fn render_pixels(
     pixels: impl Iterator<Item = (u32, u32)>,
 ) -> Result<RenderCounts> {
     plan.world_from_sensor.check()?;
-    let (hits, counts) = cast(plan, pixels);
+    let (mut hits, mut counts) = (Vec::new(), RenderCounts::default());
+    for (plan, pixels) in plan.by_bundle(pixels, |pixel| *pixel) {
+        let (own, more) = cast(&plan, pixels.into_iter());
+        hits.extend(own);
+        counts = RenderCounts { polygons: counts.polygons + more.polygons, edge_on: counts.edge_on + more.edge_on };
+    }
     let asked = plan.drawn();
     let outputs = if plan.sensor.is_camera() { asked } else { asked.without(Output::DepthZ) };
     images.prepare(plan.sensor.width(), plan.sensor.height(), outputs);
@@ -127,13 +132,14 @@ fn write(plan: &FramePlan, images: &mut Images, beam: &Beam<Option<Hit>>) {
     let put = |image: &mut Vec<f32>, value: f64| image.get_mut(at).map(|v| *v = value as f32);
     let put_id = |image: &mut Vec<u32>, value: u32| image.get_mut(at).map(|v| *v = value);
     let spec = plan.sensor.spec();
-    let within = beam.found.filter(|hit| hit.inverse_range.recip() <= spec.range_max);
+    let measured = |hit: &Hit| hit.inverse_range.recip() + plan.sensor.range_lead();
+    let within = beam.found.filter(|hit| measured(hit) <= spec.range_max);
     let Some(hit) = within else {
         put(&mut images.range, f64::INFINITY);
         put(&mut images.depth_z, f64::INFINITY);
         return;
     };
-    let range = hit.inverse_range.recip();
+    let range = measured(&hit);
     let too_near = range < spec.range_min;
     let depth_z = range * beam.ray.dot(DVec3::Z);
     put(&mut images.range, if too_near { f64::NEG_INFINITY } else { range });

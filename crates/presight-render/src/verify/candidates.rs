@@ -102,12 +102,15 @@ struct PolygonIds {
     object_id: u32,
     /// Factor of the echo.
     reflection: f64,
+    /// Metres by which ranges exceed the distance from where rays start.
+    lead: f64,
 }
 
 impl PolygonIds {
     fn of(plan: &FramePlan, object: u32, polygon: u32) -> Self {
         let reflection = plan.reflection(object, polygon);
-        Self { polygon_id: plan.polygon_id(object, polygon), object_id: object + 1, reflection }
+        let lead = plan.sensor.range_lead();
+        Self { polygon_id: plan.polygon_id(object, polygon), object_id: object + 1, reflection, lead }
     }
 }
 
@@ -148,7 +151,7 @@ pub fn span(plan: &FramePlan, column: u32, row: u32, precision: Precision) -> f6
 
 impl Candidate {
     fn new(face: &Face, bound: &FaceBound, ray: DVec3, ids: PolygonIds, sure: bool) -> Self {
-        let PolygonIds { polygon_id, object_id, reflection } = ids;
+        let PolygonIds { polygon_id, object_id, reflection, lead } = ids;
         let inverse = face.inverse_range(ray);
         let error = bound.inverse_range(face, ray);
         let positive = |k: f64| if k > 0.0 { k.recip() } else { f64::INFINITY };
@@ -156,9 +159,9 @@ impl Candidate {
             polygon_id,
             object_id,
             sure,
-            range: inverse.recip(),
-            nearest: positive(inverse + error),
-            farthest: positive(inverse - error),
+            range: inverse.recip() + lead,
+            nearest: positive(inverse + error) + lead,
+            farthest: positive(inverse - error) + lead,
             cos_incidence: face.normal.dot(ray).abs(),
             cos_error: bound.shown_cosine,
             reflection,

@@ -207,6 +207,19 @@ pub fn compare_values(
     plan: &FramePlan,
     precision: Precision,
 ) -> Report {
+    let mut report = Report::default();
+    for (plan, pixels) in plan.by_bundle(pixels, |(pixel, ..)| *pixel) {
+        report.add(compare_from_one_pose(pixels.into_iter(), &plan, precision));
+    }
+    report
+}
+
+/// [`compare_values`], of pixels for which the plan's pose holds.
+fn compare_from_one_pose(
+    pixels: impl Iterator<Item = ((u32, u32), PixelValues, PixelValues)>,
+    plan: &FramePlan,
+    precision: Precision,
+) -> Report {
     let mut judge = PixelCheck { plan, precision, instances: instances(plan), lookup: Lookup::new(plan), last: None };
     let mut report = Report::default();
     let mut unclear = Vec::new();
@@ -234,7 +247,8 @@ pub fn allowed(
     let values = PixelValues::of(reference, row as usize * reference.width as usize + column as usize);
     let (object, polygon) = Lookup::new(plan).find(plan, values.polygon_id?)?;
     let ray = plan.sensor.ray(column, row)?;
-    let c = PlaneCandidate::new(plan, &plan.instance_of(object), polygon, precision).at(ray);
+    let pose = plan.bundles().map_or(&plan.world_from_sensor, |poses| poses.of_pixel(column, row));
+    let c = PlaneCandidate::new(plan, &plan.instance_from(pose, object), polygon, precision).at(ray);
     Some(Tolerances::above(&c, &values, precision))
 }
 

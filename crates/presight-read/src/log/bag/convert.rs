@@ -2,7 +2,8 @@
 
 use super::choice::Measured;
 use crate::camera_info;
-use crate::log::BagOptions;
+use crate::cloud::{PointTimes, ScanStamp, time_field};
+use crate::log::{BagOptions, document, ray_times};
 use crate::picture::Picture;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
@@ -12,8 +13,7 @@ use presight_model::measured::{Frame, GreyImage, Measurement, RangeGrid, range_g
 use presight_model::sensor::{
     Angles, Geometry, RayTimes, Scanner, Sensor, SensorSpec, StampAt, body_from_optical_rotation,
 };
-use presight_ros::message::{CameraInfo, CompressedImage, Image, LaserScan, Message, PointCloud2};
-use std::fmt::Write;
+use presight_ros::message::{CameraInfo, CompressedImage, Image, LaserScan, Message, PointCloud2, Scalar};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Turns the messages of one topic into frames.
@@ -48,9 +48,9 @@ impl Converter {
         class: &str,
         geometry: Geometry,
         limits: Option<(f64, f64)>,
-        turn_s: f64,
+        times: RayTimes,
     ) -> Result<Sensor> {
-        let mut spec = match &self.given {
+        let spec = match &self.given {
             Some(given) => given.spec().clone().with_geometry(geometry),
             None => {
                 let spec = SensorSpec::new(name, class, geometry);
@@ -60,16 +60,18 @@ impl Converter {
                 }
             }
         };
-        if self.given.as_ref().is_none_or(|given| given.spec().times.is_at_once()) {
-            spec = spec.with_times(RayTimes::turning(turn_s, StampAt::First));
-        }
-        let spec = spec.with_mount(self.mount);
+        let spec = spec.with_times(times).with_mount(self.mount);
         if let Some(sensor) = self.sensor.as_ref().filter(|s| *s.spec() == spec) {
             return Ok(sensor.clone());
         }
         let sensor = Sensor::new(spec)?;
         self.sensor = Some(sensor.clone());
         Ok(sensor)
+    }
+
+    /// The times of rays that the given sensor states, if it does.
+    fn given_times(&self) -> Option<RayTimes> {
+        self.given.as_ref().map(|given| given.spec().times.clone()).filter(|times| !times.is_at_once())
     }
 
     /// The frame of a message.
@@ -97,10 +99,11 @@ impl Converter {
         let azimuth = azimuths(&scan)?;
         let elevation = Angles::Uniform { start_deg: 0.0, step_deg: 0.0, count: 1 };
         let geometry = Geometry::Scanner(Scanner { azimuth, elevation, beam_height_deg: None });
-        let turn_s = self.turn_of(&scan);
+        let own = RayTimes::turning(self.turn_of(&scan), StampAt::First);
+        let times = self.given_times().unwrap_or(own);
         let limits = (f64::from(scan.range_min.max(0.0)), f64::from(scan.range_max));
         let limits = (limits.1 > limits.0).then_some(limits);
-        let sensor = self.sensor(&scan.header.frame_id, "laser", geometry, limits, turn_s)?;
+        let sensor = self.sensor(&scan.header.frame_id, "laser", geometry, limits, times)?;
         let beams = scan.ranges.len();
         let frame = Frame::new(time, sensor, Measurement::Range(scan.ranges))?;
         if scan.intensities.is_empty() {
@@ -156,12 +159,26 @@ impl Converter {
         });
         let points: Vec<DVec3> = points.collect();
         let size = (cloud.height > 1).then_some((cloud.width, cloud.height));
-        let RangeGrid { table, ranges } = range_grid(&points, size)?;
-        if ["t", "time", "timestamp", "offset_time"].iter().any(|name| cloud.fields.iter().any(|f| f.name == *name)) {
-            self.add_notice("times of points are not used: all points of a message are taken at its stamp");
-        }
-        let sensor = self.sensor(&cloud.header.frame_id, "laser", Geometry::Rays(table), None, 0.0)?;
+        let grid = range_grid(&points, size)?;
+        let own = self.times_of(time, cloud, &points)?.map(|seconds| grid.spread(&seconds));
+        let RangeGrid { table, ranges, .. } = grid;
+        let given = self.given.as_ref().map(Sensor::spec);
+        let (times, notice) = ray_times::of_cloud(own, given, (table.width(), table.height()), size.is_some())?;
+        notice.into_iter().for_each(|notice| self.add_notice(notice));
+        let sensor = self.sensor(&cloud.header.frame_id, "laser", Geometry::Rays(table), None, times)?;
         Frame::new(time, sensor, Measurement::Range(ranges))
+    }
+
+    /// Seconds after the stamp of each point, if the message has times.
+    fn times_of(&self, stamp: f64, cloud: &PointCloud2<'_>, points: &[DVec3]) -> Result<Option<Vec<f32>>> {
+        let Some(at) = time_field(cloud.fields.iter().map(|f| f.name.as_str())) else { return Ok(None) };
+        let field = &cloud.fields[at];
+        let Some(values) = cloud.values(&field.name)? else { return Ok(None) };
+        let is_whole = !matches!(field.scalar, Some(Scalar::F32 | Scalar::F64));
+        let times = PointTimes { field: field.name.clone(), values: values.collect(), is_whole };
+        let taken = times.after(ScanStamp::Known(stamp), self.period_s, |i| points[i] != DVec3::ZERO)?;
+        taken.notices.into_iter().for_each(|notice| self.add_notice(notice));
+        Ok(taken.seconds)
     }
 
     fn image(
@@ -174,10 +191,11 @@ impl Converter {
         let Some(info) = info else {
             return Err(Error::invalid("no CameraInfo came before this image", "record the CameraInfo of the camera"));
         };
-        let (spec, notices) = camera_info::parse(&yaml_of(info), &info.header.frame_id, None, self.is_rectified)?;
-        notices.into_iter().filter(|n| !n.starts_with("R and P")).for_each(|notice| self.add_notice(notice));
+        let (spec, notices) = camera_info::of_message(info, self.is_rectified)?;
+        notices.into_iter().for_each(|notice| self.add_notice(notice));
         let class = if self.measured == Measured::Grey { "video" } else { "laser" };
-        let sensor = self.sensor(&info.header.frame_id, class, spec.geometry, None, 0.0)?;
+        let sensor =
+            self.sensor(&info.header.frame_id, class, spec.geometry, None, self.given_times().unwrap_or_default())?;
         if (sensor.width(), sensor.height()) != size {
             let what = format!(
                 "{} x {} pixels, but its CameraInfo has {} x {}",
@@ -216,12 +234,10 @@ fn azimuths(scan: &LaserScan) -> Result<Angles> {
         return Err(wrong(format!("{count} ranges do not fit the angles from {min} to {max} in steps of {step}")));
     }
     // Rounded to f32 the step is less precise than both ends.
-    let start_deg = crate::log::document::round_degrees(min);
-    let step_deg = if off.abs() < 0.5 && count > 1 {
-        (crate::log::document::round_degrees(max) - start_deg) / intervals
-    } else {
-        step.to_degrees()
-    };
+    if off.abs() < 0.5 && count > 1 {
+        return Ok(document::azimuths(min, max, count as u32, true));
+    }
+    let (start_deg, step_deg) = (document::round_degrees(min), step.to_degrees());
     Ok(Angles::Uniform { start_deg, step_deg, count: count as u32 })
 }
 
@@ -275,19 +291,6 @@ fn compressed_depth(image: &CompressedImage<'_>) -> Result<((u32, u32), Vec<f32>
     let (a, b) = (parameter(0), parameter(4));
     let metres = |value: u16| if value == 0 { f32::NAN } else { a / (f32::from(value) - b) };
     Ok((size, values.into_iter().map(metres).collect()))
-}
-
-/// The message as `ros2 topic echo` prints it.
-fn yaml_of(info: &CameraInfo) -> String {
-    let CameraInfo { width, height, distortion_model, d, k, r, p, binning: [bx, by], roi, .. } = info;
-    let [x_offset, y_offset, roi_height, roi_width] = roi;
-    // Rust prints an f64 with all digits that matter.
-    let mut text = format!("width: {width}\nheight: {height}\nk: {k:?}\nr: {r:?}\np: {p:?}\n");
-    let model = if distortion_model.is_empty() { "plumb_bob" } else { distortion_model };
-    let _ = write!(text, "distortion_model: {model:?}\nd: {d:?}\nbinning_x: {bx}\nbinning_y: {by}\n");
-    let _ =
-        writeln!(text, "roi: {{x_offset: {x_offset}, y_offset: {y_offset}, height: {roi_height}, width: {roi_width}}}");
-    text
 }
 
 /// robot_from_sensor in body axes from base_from_frame: images have optical frames (REP-103).

@@ -6,13 +6,21 @@
 //! - **Odometry**: `/tf` from `odom` to the base, else the one topic of `nav_msgs/msg/Odometry`.
 //! - **Reference**: `/tf` from `map` to the base. Estimates must not use it.
 //!
-//! Transforms are taken at the stamp of the message, interpolated and never extrapolated (REP-105).
+//! Transforms are taken at the stamp of the message, interpolated and never extrapolated (REP-105). A scan whose rays have
+//! times takes all those of the odometry from its first ray to its last; where they end before, it goes on by the last two.
 
 mod choice;
 mod convert;
 mod drive;
+mod live;
 mod report;
+mod scan_motion;
+mod stream;
 
 pub use choice::{Choice, Measured};
 pub use drive::BagFrames;
+pub use live::LiveFrames;
 pub use report::BagReport;
+
+/// Seconds per nanosecond.
+const NANO: f64 = 1e-9;

@@ -43,7 +43,7 @@ fn poses_stand_beside_the_scans() {
     assert!(Scans::open(folder.path(), None).unwrap_err().to_string().contains("no scan"));
     put("b.csv", "1,2,0\n2,2,0\n");
     put("a.csv", "1,2,0\n2,2,0\n");
-    put("poses.json", r#"{"note": "by hand", "b": {"translation": [1, 2, 3], "quaternion_xyzw": [0, 0, 0, 2]}}"#);
+    put("poses.json", r#"{"note": "by hand", "b": {"translation": [1, 2, 3], "quaternion_xyzw": [0, 0, 0, 1]}}"#);
     let mut spec = crate::preset("laser-scanner").unwrap().spec().clone();
     (spec.mount, spec.noise.range_sigma) = (Pose::from_xyz_rpy(DVec3::Z, 0.0, 0.0, 0.0), 0.07);
     let sensor = Sensor::new(spec).unwrap();
@@ -60,4 +60,110 @@ fn poses_stand_beside_the_scans() {
         let e = Scans::open(folder.path(), None).unwrap_err();
         assert!(e.file().is_some_and(|f| f.ends_with("poses.json")), "{e}");
     }
+}
+
+/// A cloud of a lidar of 8 rows and 360 columns that turns left in 0.1 s, on a robot that drives past a wall 5 m to its left, in
+/// the order of firing, with the times of a driver.
+fn moving_cloud(t: impl Fn(f64) -> f64, kind: &str, speed: f64) -> String {
+    let pixels = (0..360).flat_map(|c| (0..8).map(move |r| (f64::from(c), f64::from(r))));
+    let points: Vec<String> = pixels
+        .filter_map(|(c, r)| {
+            let (azimuth, elevation) = ((c - 179.5f64).to_radians(), (r - 3.6f64).to_radians());
+            let ray = DVec3::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
+            // The wall is at y = 5; it ends at x = 10 and at x = -10, where the robot was at the stamp.
+            let range = 5.0 / ray.y;
+            let seconds = 0.1 * c / 360.0;
+            let p = range * ray;
+            (range > 0.0 && (p.x + speed * seconds).abs() < 10.0)
+                .then(|| format!("{} {} {} {}", p.x, p.y, p.z, t(seconds)))
+        })
+        .collect();
+    let count = points.len();
+    format!(
+        "ply\nformat ascii 1.0\nelement vertex {count}\nproperty double x\nproperty double y\nproperty double z\n\
+         property {kind} time\nend_header\n{}\n",
+        points.join("\n")
+    )
+}
+
+fn frames_of(files: &[(&str, String)], sensor: Option<&Sensor>) -> Result<(Vec<Observation>, Vec<String>)> {
+    let folder = tempfile::tempdir().unwrap();
+    files.iter().for_each(|(name, text)| std::fs::write(folder.path().join(name), text).unwrap());
+    let mut log = crate::log::Frames::open(folder.path(), sensor, &Default::default())?.moving_by_reference();
+    let frames = log.by_ref().collect::<Result<_>>()?;
+    Ok((frames, log.notices()))
+}
+
+/// Where the wall begins and ends along x, as the points of a frame show it.
+fn wall(frame: &Frame) -> [f64; 2] {
+    let sensor = frame.sensor();
+    let width = sensor.width();
+    let points = (0..).zip(frame.ranges()).filter(|(_, r)| r.is_finite());
+    let x = |(i, r): (u32, &f32)| sensor.ray(i % width, i / width).unwrap().x * f64::from(*r);
+    points.map(x).fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
+}
+
+/// Unorganized clouds, whose columns say no time, are moving scans by the times of their points.
+#[test]
+fn times_of_points_undo_the_motion() {
+    let poses = r#"{"10.0": {"translation": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]},
+        "10.1": {"translation": [2, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]}}"#;
+    // 20 m/s: 2 m during the scan.
+    let (speed, stamp) = (20.0, 10.0);
+    let read = |kind: &str, t: &dyn Fn(f64) -> f64| {
+        let cloud = moving_cloud(t, kind, speed);
+        let files = [("10.0.ply", cloud.clone()), ("10.1.ply", cloud), ("poses.json", poses.to_owned())];
+        let (frames, notices) = frames_of(&files, None).unwrap();
+        let frame = frames[0].frame.deskewed(0.0).unwrap();
+        (wall(&frames[0].frame), wall(&frame), notices)
+    };
+    for (kind, t, words) in [
+        ("double", &(|t| t) as &dyn Fn(f64) -> f64, "seconds, counted from the stamp"),
+        ("uint", &|t: f64| (t * 1e9).round(), "nanoseconds, counted from the stamp"),
+        ("double", &|t| stamp + t, "seconds, on the clock of the stamps"),
+    ] {
+        let (raw, deskewed, notices) = read(kind, t);
+        // The ends of the wall are 11 m away, where columns are 0.44 m apart on it. The left side comes in the second half of the
+        // scan, 1 to 2 m from where the robot was at the stamp.
+        assert!(raw[0] < -11.0 && raw[1] < 9.01, "{raw:?}");
+        assert!(
+            deskewed[0] > -10.001 && deskewed[0] < -9.5 && deskewed[1] > 9.5 && deskewed[1] < 10.001,
+            "{deskewed:?}"
+        );
+        assert!(notices.iter().any(|n| n.contains(words)), "{notices:?}");
+    }
+    // Planted: counted from the last ray, the wall is 2 m off.
+    let (_, from_last, notices) = read("double", &|t| t - 0.1);
+    assert!(from_last[0] < -11.0 && from_last[1] < 8.01, "{from_last:?}");
+    assert!(notices.iter().any(|n| n.contains("counted back from the stamp")), "{notices:?}");
+}
+
+#[test]
+fn stamps_come_from_the_clock_of_the_points_if_names_do_not_tell() {
+    let at = |base: f64| moving_cloud(move |t| base + t, "double", 0.0);
+    let files = [("first.ply", at(1.7e9)), ("second.ply", at(1.7e9 + 0.1))];
+    let (frames, notices) = frames_of(&files, None).unwrap();
+    let stamps: Vec<f64> = frames.iter().map(|o| (o.frame.stamp - 1.7e9) * 1e3).map(f64::round).collect();
+    // The wall is seen in the second half of the scan.
+    assert!(stamps[1] - stamps[0] == 100.0 && (49.0..=51.0).contains(&stamps[0]), "{stamps:?}");
+    assert!(
+        frames[0].frame.sensor().scan_interval()[0] == 0.0 && notices.iter().any(|n| n.contains("also give the stamp"))
+    );
+}
+
+#[test]
+fn the_sensor_must_not_contradict_the_points() {
+    let turning = |turn_s| {
+        let spec = crate::preset("laser-scanner").unwrap().spec().clone();
+        Sensor::new(spec.with_times(presight_model::sensor::RayTimes::turning(turn_s, Default::default()))).unwrap()
+    };
+    let files = [("10.0.ply", moving_cloud(|t| t, "double", 0.0))];
+    assert!(frames_of(&files, Some(&turning(0.1))).is_ok());
+    let e = frames_of(&files, Some(&turning(0.05))).unwrap_err();
+    assert!(e.to_string().contains("by the times of the sensor") && e.file().is_some(), "{e}");
+    // Without times the columns of an unorganized cloud say nothing.
+    let untimed = [("10.0.ply", files[0].1.replace(" time", " intensity"))];
+    let (frames, notices) = frames_of(&untimed, Some(&turning(0.1))).unwrap();
+    assert!(frames[0].frame.sensor().spec().times.is_at_once());
+    assert!(notices.iter().any(|n| n.contains("count as measured at the stamp")), "{notices:?}");
 }

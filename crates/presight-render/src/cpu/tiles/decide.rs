@@ -10,7 +10,7 @@ use super::object::PlacedObject;
 use super::search::{Candidate, Found, NONE, Objects};
 use crate::plan::FramePlan;
 use glam::DVec3;
-use presight_model::sensor::{GROUP, GROUPS, GroupLayout, LineGrid, PixelGrid, RayGrid, RayTile, RayTiles};
+use presight_model::sensor::{GROUP, GROUPS, GroupLayout, LineAxis, LineGrid, PixelGrid, RayGrid, RayTile, RayTiles};
 
 /// Numbers of the rays of a group.
 type Row = [f64; GROUP];
@@ -117,7 +117,8 @@ impl Decision {
         self.drop_polygons();
     }
 
-    fn drop_polygons(&mut self) {
+    /// Removes the current polygons, but not those that have won rays.
+    pub fn drop_polygons(&mut self) {
         self.known.fill([u32::MAX, 0]);
         self.bounds.clear();
         self.edges.clear();
@@ -199,6 +200,7 @@ impl Decision {
         let rays = &mut self.rays[g];
         match (grid, tiles.layout) {
             (PixelGrid::Lines(grid), GroupLayout::Along) => along(rays, grid, at),
+            (PixelGrid::Lines(grid), GroupLayout::Listed) => listed_on_lines(rays, grid, tiles.listed(at[0])),
             (PixelGrid::Lines(grid), _) => across(rays, grid, at),
             (PixelGrid::Rays(grid), GroupLayout::Listed) => listed(rays, grid, tiles.listed(at[0])),
             (PixelGrid::Rays(grid), _) => {
@@ -358,6 +360,26 @@ fn across(rays: &mut Rays, grid: &LineGrid, [line, sample]: [u32; 2]) {
     let [w0, w1] = grid.weights()[sample as usize];
     (rays.a, rays.b) = (*c0, *c1);
     (rays.c, rays.d, rays.t) = ([w0; GROUP], [w1; GROUP], [grid.positions()[sample as usize]; GROUP]);
+}
+
+/// Rays anywhere on lines.
+fn listed_on_lines(rays: &mut Rays, grid: &LineGrid, pixels: &[u32; GROUP]) {
+    for (i, pixel) in pixels.iter().enumerate() {
+        let (line, sample) = line_and_sample(grid.axis(), grid_width(grid), *pixel as usize);
+        ([rays.a[i], rays.b[i]], [rays.c[i], rays.d[i]]) = (grid.lines()[line], grid.weights()[sample]);
+        rays.t[i] = grid.positions()[sample];
+    }
+}
+
+/// Columns of the image of a grid.
+fn grid_width(grid: &LineGrid) -> usize {
+    if grid.axis() == LineAxis::Columns { grid.lines().len() } else { grid.weights().len() }
+}
+
+/// Line and sample of a pixel of an image with this many columns.
+pub(super) fn line_and_sample(axis: LineAxis, width: usize, pixel: usize) -> (usize, usize) {
+    let (row, column) = (pixel / width, pixel % width);
+    if axis == LineAxis::Columns { (column, row) } else { (row, column) }
 }
 
 /// Rays anywhere in a table.

@@ -184,7 +184,7 @@ impl<'a> Frame<'a> {
         let lines = self.bands.lines(band);
         buffer.clear(self.bands.axis, lines.len(), self.bands.samples);
         self.with_worker(|worker| {
-            let tiles = self.tiles.of_lines(lines.clone());
+            let tiles = (self.tiles.first_of_lines(lines.clone()), self.tiles.of_lines(lines.clone()));
             dispatch(self.vectors, TraceBand { tiles, frame: self, worker, buffer, target, band });
         });
     }
@@ -218,21 +218,24 @@ impl<'a> Frame<'a> {
     }
 
     /// Traces listed rays, which lie in any band.
-    fn trace_listed(&self, tiles: &[RayTile]) -> Hits {
-        self.with_worker(|worker| dispatch(self.vectors, TraceListed { tiles, frame: self, worker }))
+    fn trace_listed(&self, first: usize, tiles: &[RayTile]) -> Hits {
+        self.with_worker(|worker| dispatch(self.vectors, TraceListed { tiles: (first, tiles), frame: self, worker }))
     }
 }
 
-/// Finds and decides which polygons the rays of a tile see.
+/// Finds and decides which polygons the rays of a tile see, given with its number.
 #[inline(always)]
 fn trace_tile<'a, S: Width, const N: usize>(
     simd: S,
     tiles: &RayTiles,
-    tile: &RayTile,
+    (number, tile): (usize, &RayTile),
     objects: &mut Objects<'a>,
     search: &mut Search<'a>,
     decision: &mut Decision,
 ) {
+    if objects.turn_to(tiles.bundle(number)) {
+        decision.drop_polygons();
+    }
     decision.begin(objects.plan.sensor.grid(), tiles, tile);
     search.begin(objects, tile);
     while !search.go_on::<S, N>(simd, objects, tile) {
@@ -241,9 +244,9 @@ fn trace_tile<'a, S: Width, const N: usize>(
     decision.run(objects, tile, &search.found);
 }
 
-/// Traces some tiles of a band.
+/// Traces some tiles of a band, given with the number of the first.
 struct TraceBand<'t, 'a, 'i> {
-    tiles: &'t [RayTile],
+    tiles: (usize, &'t [RayTile]),
     frame: &'t Frame<'a>,
     worker: &'t mut Worker<'a>,
     buffer: &'t mut Buffer,
@@ -261,12 +264,12 @@ impl Task for TraceBand<'_, '_, '_> {
         let first = frame.bands.lines(band).start;
         decision.clear();
         let mut all = true;
-        for tile in tiles {
+        for (number, tile) in (tiles.0..).zip(tiles.1) {
             if frame.is_over() {
                 all = false;
                 break;
             }
-            trace_tile::<S, N>(simd, frame.tiles, tile, objects, search, decision);
+            trace_tile::<S, N>(simd, frame.tiles, (number, tile), objects, search, decision);
             put(buffer, frame.tiles.layout, tile, decision, first);
         }
         frame.resolve(target, buffer, &decision.winners.shades, band, all);
@@ -304,9 +307,9 @@ struct Hits {
     winners: Winners,
 }
 
-/// Traces some tiles of listed rays.
+/// Traces some tiles of listed rays, given with the number of the first.
 struct TraceListed<'t, 'a> {
-    tiles: &'t [RayTile],
+    tiles: (usize, &'t [RayTile]),
     frame: &'t Frame<'a>,
     worker: &'t mut Worker<'a>,
 }
@@ -317,13 +320,13 @@ impl Task for TraceListed<'_, '_> {
     #[inline(always)]
     fn run<S: Width, const N: usize>(self, simd: S) -> Hits {
         let Worker { objects, search, decision } = self.worker;
-        let mut rays = Vec::with_capacity(64 * self.tiles.len());
+        let mut rays = Vec::with_capacity(64 * self.tiles.1.len());
         decision.clear();
-        for tile in self.tiles {
+        for (number, tile) in (self.tiles.0..).zip(self.tiles.1) {
             if self.frame.is_over() {
                 break;
             }
-            trace_tile::<S, N>(simd, self.frame.tiles, tile, objects, search, decision);
+            trace_tile::<S, N>(simd, self.frame.tiles, (number, tile), objects, search, decision);
             for g in 0..tile.groups {
                 let pixels = self.frame.tiles.listed(tile.places[g][0]);
                 for i in (0..GROUP).filter(|i| tile.alive[g] >> i & 1 == 1) {
@@ -349,7 +352,10 @@ impl CpuEngine {
             return Ok(false);
         }
         let start = Instant::now();
-        let tiles = plan.sensor.ray_tiles()?;
+        let tiles = match plan.bundles() {
+            Some(poses) => poses.bundles().ray_tiles(&plan.sensor)?,
+            None => plan.sensor.ray_tiles()?,
+        };
         let rays = plan.sensor.width() as usize * plan.sensor.height() as usize;
         let here = self.alone || rays <= FEW_RAYS;
         let threads = if here { 1 } else { self.threads() };
@@ -435,7 +441,7 @@ impl CpuEngine {
 fn trace_here(frame: &Frame<'_>, canvas: &mut [Buffer], images: &mut Images) {
     let mut targets = resolve::split(images, frame.bands);
     if frame.tiles.layout == GroupLayout::Listed {
-        let hits = vec![frame.trace_listed(&frame.tiles.tiles)];
+        let hits = vec![frame.trace_listed(0, &frame.tiles.tiles)];
         let winners = scatter(frame, canvas, hits);
         for (band, (buffer, target)) in canvas.iter().zip(&mut targets).enumerate() {
             frame.resolve(target, buffer, &winners.shades, band, !frame.has_stopped.load(Ordering::Relaxed));
@@ -451,7 +457,8 @@ fn trace_here(frame: &Frame<'_>, canvas: &mut [Buffer], images: &mut Images) {
 fn trace(frame: &Frame<'_>, canvas: &mut [Buffer], images: &mut Images) {
     let mut targets = resolve::split(images, frame.bands);
     if frame.tiles.layout == GroupLayout::Listed {
-        let hits = frame.tiles.tiles.par_chunks(LISTED_TILES).map(|tiles| frame.trace_listed(tiles)).collect();
+        let chunks = frame.tiles.tiles.par_chunks(LISTED_TILES).enumerate();
+        let hits = chunks.map(|(chunk, tiles)| frame.trace_listed(chunk * LISTED_TILES, tiles)).collect();
         let winners = scatter(frame, canvas, hits);
         canvas.par_iter().zip(&mut targets).enumerate().for_each(|(band, (buffer, target))| {
             frame.resolve(target, buffer, &winners.shades, band, !frame.has_stopped.load(Ordering::Relaxed));
@@ -474,7 +481,8 @@ fn scatter(frame: &Frame<'_>, canvas: &mut [Buffer], hits: Vec<Hits>) -> Winners
         let before = winners.shades.len() as u32 - 1;
         winners.shades.extend_from_slice(&own.shades[1..]);
         for (pixel, inverse, winner) in rays {
-            let (line, sample) = (pixel as usize / bands.samples, pixel as usize % bands.samples);
+            let width = frame.plan.sensor.width() as usize;
+            let (line, sample) = decide::line_and_sample(bands.axis, width, pixel as usize);
             let band = line / bands.per_band;
             let (at, lane) = canvas[band].place(line - band * bands.per_band, sample);
             canvas[band].inverse[at].0[lane] = inverse;

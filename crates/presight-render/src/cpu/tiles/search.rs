@@ -6,6 +6,7 @@ use super::object::{Margins, PlacedObject, Placing, TreeView};
 use super::wide::{Eight, Make, Three, Width, cross, dot, size, three};
 use crate::plan::FramePlan;
 use glam::DMat3;
+use presight_model::geometry::Pose;
 use presight_model::index::{LEAF, NO_CHILD, ObjectTree, RayNode, TriangleBlock, WIDE};
 use presight_model::sensor::{GROUPS, RayTile};
 
@@ -115,10 +116,13 @@ struct Entry {
 pub(super) struct Objects<'a> {
     pub plan: &'a FramePlan,
     pub tree: &'a ObjectTree,
+    /// The pose of the current rays.
+    world_from_sensor: Pose,
     image_from_world: DMat3,
     /// By object of the environment: the last frame that placed it, and its number.
     known: Vec<(u64, u32)>,
     frame: u64,
+    bundle: u32,
     margins: Margins,
     pub placed: Vec<PlacedObject<'a>>,
     /// Objects whose meshes have no tree.
@@ -131,9 +135,11 @@ impl<'a> Objects<'a> {
         Self {
             plan,
             tree: plan.world.index().object_tree(plan.environment()),
-            image_from_world: (plan.world_from_sensor.rotation_matrix() * plan.sensor.body_from_image()).transpose(),
+            world_from_sensor: plan.world_from_sensor,
+            image_from_world: image_from_world(plan, &plan.world_from_sensor),
             known,
             frame,
+            bundle: u32::MAX,
             margins,
             placed: Vec::new(),
             lacking: Vec::new(),
@@ -145,18 +151,35 @@ impl<'a> Objects<'a> {
         self.known
     }
 
+    /// Takes the pose of a bundle of rays. Returns true if polygons have to be set up anew.
+    #[inline(always)]
+    pub fn turn_to(&mut self, bundle: u32) -> bool {
+        let Some(poses) = self.plan.bundles().filter(|_| bundle != self.bundle) else { return false };
+        self.bundle = bundle;
+        self.world_from_sensor = poses.poses()[bundle as usize];
+        self.image_from_world = image_from_world(self.plan, &self.world_from_sensor);
+        true
+    }
+
     /// The number of a placed object; `None` if the sensor cannot see it.
     #[inline(always)]
     fn number(&mut self, object: u32) -> Option<u32> {
         let (frame, number) = self.known[object as usize];
         let number = if frame == self.frame { number } else { self.place(object) };
-        (number != NONE).then_some(number)
+        if number == NONE {
+            return None;
+        }
+        let placed = &mut self.placed[number as usize];
+        if placed.bundle != self.bundle {
+            placed.turn_to(self.plan, (self.bundle, &self.world_from_sensor));
+        }
+        Some(number)
     }
 
     #[cold]
     #[inline(never)]
     fn place(&mut self, object: u32) -> u32 {
-        let number = match Placing::new(self.plan, object) {
+        let number = match Placing::new(self.plan, (self.bundle, &self.world_from_sensor), object) {
             Placing::Placed(placed) => {
                 self.placed.push(*placed);
                 self.placed.len() as u32 - 1
@@ -170,6 +193,10 @@ impl<'a> Objects<'a> {
         self.known[object as usize] = (self.frame, number);
         number
     }
+}
+
+fn image_from_world(plan: &FramePlan, world_from_sensor: &Pose) -> DMat3 {
+    (world_from_sensor.rotation_matrix() * plan.sensor.body_from_image()).transpose()
 }
 
 /// Memory of searches, and the results of the last one.
@@ -195,11 +222,11 @@ impl<'a> Search<'a> {
     /// Begins the search of a tile.
     #[inline(always)]
     pub fn begin(&mut self, objects: &Objects<'a>, tile: &RayTile) {
-        let range_max = objects.plan.sensor.spec().range_max as f32;
+        let range_max = (objects.plan.sensor.spec().range_max - objects.plan.sensor.range_lead()) as f32;
         // The inverse depth of a unit ray is at least its inverse range.
         self.found.clear(tile, (1.0 - 1e-5) / range_max);
         self.views.clear();
-        let centre = objects.plan.world_from_sensor.translation;
+        let centre = objects.world_from_sensor.translation;
         self.views.push(TreeView::of_world(objects.tree, &objects.image_from_world, centre, tile, objects.margins));
         self.stack.clear();
         if !objects.tree.nodes.is_empty() {
