@@ -98,9 +98,9 @@ pub fn drive(environment: &Environment, sensor: &Sensor, count: usize, seed: u64
     let scan = |k: usize| {
         let stamp = START_S + EVERY_S * k as f64;
         let pose = route.at(stamp);
-        caster.turn_s = TURN_S;
+        caster.times = RayTimes::turning(TURN_S, StampAt::First);
         let driving = caster.frame(&|t| route.at(t), stamp, None);
-        caster.turn_s = 0.0;
+        caster.times = RayTimes::AtOnce;
         let standing = caster.frame(&|_| pose, stamp, None);
         let path = (-12..=12).map(|i| 0.01 * f64::from(i)).map(|t| (t, route.at(stamp + t))).collect();
         Scan { pose, driving, standing, path }
