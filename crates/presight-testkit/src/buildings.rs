@@ -269,7 +269,8 @@ impl Draft {
         if self.random.unit() < 0.5 {
             let plan = Rectangle::new([0.3, 0.3], [self.random.uniform(0.8, 1.4), self.random.uniform(0.8, 1.4)]);
             let low = self.building.height + self.random.uniform(1.9, 3.0);
-            self.solid(plan, low, low + self.random.uniform(0.05, 0.3));
+            let high = low + self.random.uniform(0.05, 0.3);
+            self.solid(plan, low, high);
         }
     }
 
@@ -284,7 +285,8 @@ impl Draft {
             let plan = Rectangle { min, max: min + size };
             let low =
                 self.building.height + if self.random.unit() < 0.5 { 0.0 } else { self.random.uniform(0.15, 1.5) };
-            self.solid(plan, low, low + self.random.uniform(0.15, 1.0));
+            let high = low + self.random.uniform(0.15, 1.0);
+            self.solid(plan, low, high);
             self.building.boxes.push(plan);
         }
     }

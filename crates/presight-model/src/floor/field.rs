@@ -267,11 +267,14 @@ impl HeightField {
                 self.spans.push(Span { low: lowest.low, high, faces_up, is_blocked: false, is_buried: false });
             }
         }
-        // A surface that faces down with one above it that faces up is the underside of a slab.
+        // A surface that faces down is a ceiling if one below it faces up, and the underside of a slab if the next one
+        // above it faces up. Elsewhere it is a floor whose front is below.
         for k in (first..self.spans.len()).rev() {
             let Span { high, faces_up, .. } = self.spans[k];
             let top = self.spans[k + 1..].iter().find(|above| above.faces_up);
-            if !faces_up && top.is_some_and(|top| top.low - high < self.options.mobility.height) {
+            let is_underside = top.is_some_and(|top| top.low - high < self.options.mobility.height);
+            let is_ceiling = self.spans[first..k].iter().any(|below| below.faces_up);
+            if !faces_up && (is_underside || is_ceiling) {
                 self.spans.remove(k);
             }
         }

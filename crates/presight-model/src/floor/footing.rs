@@ -56,7 +56,7 @@ impl Footing {
         parts.sort_by(|a, b| a.low.total_cmp(&b.low));
         let here = |part: &Part| {
             (distance_from_above(&part.outline, DVec2::ZERO) <= super::SEAM)
-                .then(|| height_at(&part.corners, DVec2::ZERO))
+                .then(|| height_at(&part.corners, DVec2::ZERO).clamp(part.low, part.high))
         };
         let usual = mobility.step + mobility.rise(radius);
         let near = parts.iter().filter_map(here).filter(|height| (height - p.z).abs() <= usual);

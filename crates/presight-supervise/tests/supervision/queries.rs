@@ -97,10 +97,11 @@ fn the_docks_of_the_charging_bay_are_found() {
     assert!(uncertain_features(&scene.world, &UncertainOptions::default().with_time(Some(f64::NAN))).is_err());
 }
 
-/// A floor of 9 x 9 m with random pillars.
-fn pillars(seed: u64, count: usize) -> (World, Vec<DVec2>) {
+/// A floor with random pillars, on which a robot of a radius reaches 4 m from the middle along x and y.
+fn pillars(seed: u64, count: usize, radius: f64) -> (World, Vec<DVec2>) {
     let mut environment = scenes::empty();
-    environment.add_cuboid("floor", at(0.0, 0.0, -0.1), DVec3::new(9.0, 9.0, 0.2)).unwrap();
+    let side = 8.02 + 2.0 * radius;
+    environment.add_cuboid("floor", at(0.0, 0.0, -0.1), DVec3::new(side, side, 0.2)).unwrap();
     let mut random = Random(seed);
     let mut middles = Vec::new();
     for k in 0..count {
@@ -116,8 +117,7 @@ fn dijkstra(from: DVec2, to: DVec2, pillars: &[DVec2], radius: f64) -> Option<f6
     let step = 0.025;
     let free = |p: DVec2| {
         let clear = |m: &DVec2| ((p - *m).abs() - 0.15).max(DVec2::ZERO).length() >= radius;
-        // The whole robot stays on the floor.
-        p.abs().max_element() <= 4.5 - radius && pillars.iter().all(clear)
+        p.abs().max_element() <= 4.0 && pillars.iter().all(clear)
     };
     let place = |at: (i32, i32)| from + step * DVec2::new(f64::from(at.0), f64::from(at.1));
     let goal = (((to.x - from.x) / step).round() as i32, ((to.y - from.y) / step).round() as i32);
@@ -159,7 +159,7 @@ fn ways_agree_with_dijkstra_on_a_fine_grid() {
     let (mut yes, mut no) = (0, 0);
     for seed in 0..12 {
         let (radius, count) = if seed % 2 == 0 { (0.25, 28) } else { (0.45, 60) };
-        let (world, middles) = pillars(seed, count);
+        let (world, middles) = pillars(seed, count, radius);
         let options = PathOptions::default().with_radius(radius);
         let found = find_path(&world, from.extend(0.0), to.extend(0.0), &[], &options);
         let Some(truth) = dijkstra(from, to, &middles, radius) else {
@@ -183,14 +183,14 @@ fn ways_agree_with_dijkstra_on_a_fine_grid() {
 
 #[test]
 fn ways_that_cannot_be_say_why() {
-    let (world, middles) = pillars(0, 28);
+    let (world, middles) = pillars(0, 28, 0.25);
     let options = PathOptions::default().with_radius(0.25);
     let from = DVec3::new(-3.7, 0.0, 0.0);
     let refused = |a: DVec3, b: DVec3| find_path(&world, a, b, &[], &options).unwrap_err().to_string();
     assert!(refused(from, middles[3].extend(0.0)).contains("pillar"));
     assert!(refused(middles[3].extend(0.0), from).contains("the start"));
     assert!(refused(DVec3::new(50.0, 0.0, 0.0), from).contains("no floor"));
-    assert!(refused(DVec3::new(-4.4, 0.0, 0.0), from).contains("the floor ends within 0.25 m"));
+    assert!(refused(DVec3::new(-4.1, 0.0, 0.0), from).contains("the floor ends within 0.25 m"));
     assert!(refused(from, DVec3::NAN).contains("finite"));
     let wrong = options.with_radius(f64::NAN);
     assert!(find_path(&world, from, from, &[], &wrong).is_err());
