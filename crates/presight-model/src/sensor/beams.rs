@@ -1,6 +1,6 @@
 //! Beam tables: spinning sensors whose rows have an angle, an origin and a firing time each.
 
-use super::rays::MAX_ORIGIN;
+use super::rays::{MAX_ORIGIN, is_near};
 use super::scanner::cos_sin_deg;
 use super::times::MAX_SCAN_S;
 use super::{Angles, RayTable, RayTimes, StampAt};
@@ -253,7 +253,7 @@ impl RayTable {
 
 /// Refuses origins that are not finite or beyond [`MAX_ORIGIN`].
 fn check_origins(origins: &[DVec3]) -> Result<()> {
-    match origins.iter().find(|o| !(o.abs().max_element() <= MAX_ORIGIN)) {
+    match origins.iter().find(|o| !is_near(**o)) {
         Some(bad) => {
             let remedy = format!("give metres, not millimetres, at most {MAX_ORIGIN}");
             Err(Error::invalid(format!("{bad} m from the axis of the head"), remedy))
