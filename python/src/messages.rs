@@ -1,16 +1,16 @@
 //! ROS 2 messages as bytes: what a node receives becomes frames, and answers become what it publishes.
 
 use super::arrays::{array, pose_numbers, pose_of};
-use super::errors::{apart, usage, warn};
+use super::errors::{Failed, apart, usage, warn};
 use super::measured::{Frame, Step};
 use super::prediction::Prediction;
 use super::predictor::Predictor;
 use super::scene::Scene;
 use super::sensor::sensor_of;
+use presight::Error;
 use presight::files::BagOptions;
 use presight::measured::OdometryNoise;
 use presight::ros::{LiveFrames, MessageOrigin, Record, Topic, answers, comparison, initial_pose, model};
-use presight::Error;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use std::path::Path;
@@ -74,7 +74,7 @@ impl Messages {
             let sensor = &prediction.sensor;
             let origin = self.origin().unwrap_or_else(|_| MessageOrigin::of_sensor(0.0, sensor));
             let records = origin.prediction(sensor, &prediction.images, prediction.images.outputs())?;
-            Ok::<_, Error>(records.into_iter().find(|record| record.topic.message_type == message_type))
+            Ok::<_, Failed>(records.into_iter().find(|record| record.topic.message_type == message_type))
         })?;
         match found {
             Some(record) => Ok(PyBytes::new(py, &record.data)),
@@ -113,7 +113,7 @@ impl Messages {
         let notices = apart(py, || {
             let name = record.topic.name.clone();
             let added = |state: &mut State| state.live.add(record).map(|()| state.live.take_notices());
-            self.with(added).map_err(|e| e.in_file(Path::new(&name)))
+            Ok(self.with(added).map_err(|e| e.in_file(Path::new(&name)))?)
         })?;
         warn(py, &notices)
     }
@@ -128,7 +128,7 @@ impl Messages {
                 state.origin = Some(origin);
                 Some(Frame(observation.frame))
             });
-            Ok::<_, Error>(frame)
+            Ok(frame)
         })
     }
 
@@ -149,7 +149,7 @@ impl Messages {
             for record in records.iter_mut().filter(|record| record.topic.name == "/tf") {
                 *record = later.localization(&step.pose.world_from_robot);
             }
-            Ok::<_, Error>(records)
+            Ok(records)
         })?;
         Ok(sent(py, records))
     }
@@ -167,8 +167,9 @@ impl Messages {
         let (predictor, scene, frame, step) = (predictor.get(), scene.get(), &frame.get().0, &step.get().0);
         let records = apart(py, || {
             let Some(verdicts) = step.estimate.verdicts.first().filter(|_| step.is_known()) else { return Ok(vec![]) };
-            let (origin, world) = (self.origin()?, scene.seen().world);
-            predictor.with(|predictor| comparison(predictor, &world, (frame, verdicts), &step.estimate.pose, &origin))
+            let (origin, world, moving) = (self.origin()?, scene.seen().world, step.moving(frame));
+            let (compared, robot) = ((&*moving, verdicts), &step.estimate.pose);
+            predictor.with(|predictor| Ok(comparison(predictor, &world, compared, robot, &origin)?))
         })?;
         Ok(sent(py, records))
     }
@@ -176,14 +177,14 @@ impl Messages {
     /// The model as markers.
     fn model<'py>(&self, py: Python<'py>, scene: &Bound<'_, Scene>) -> PyResult<Vec<Sent<'py>>> {
         let scene = scene.get();
-        let record = apart(py, || model(scene.seen().world.environment(), &self.map, 0))?;
+        let record = apart(py, || Ok(model(scene.seen().world.environment(), &self.map, 0)?))?;
         Ok(sent(py, vec![record]))
     }
 
     /// The pose and the covariance of a `geometry_msgs/msg/PoseWithCovarianceStamped`: (7,) and (6, 6).
     fn initial_pose<'py>(&self, py: Python<'py>, data: &[u8]) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let data = data.to_vec();
-        let estimate = apart(py, || initial_pose(&data))?;
+        let estimate = apart(py, || Ok(initial_pose(&data)?))?;
         let covariance = estimate.covariance.as_rows().as_flattened().to_vec();
         Ok((array(py, pose_numbers(&estimate.world_from_robot).to_vec(), &[7])?, array(py, covariance, &[6, 6])?))
     }

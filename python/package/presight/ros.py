@@ -162,14 +162,15 @@ class Follower:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the node until Ctrl-C."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    args = parser().parse_args(given[: given.index("--ros-args")] if "--ros-args" in given else given)
     try:
         import rclpy
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
     except ImportError:
         print("presight.ros: there is no rclpy; source the setup of your ROS 2 in this shell", file=sys.stderr)
         return 3
-    rclpy.init(args=None)
-    args = parser().parse_args(rclpy.utilities.remove_ros_args(arguments or sys.argv)[1:])
+    rclpy.init(args=given)
     node = rclpy.create_node("presight")
     say, publishers, lock = node.get_logger().info, {}, threading.Lock()
 
