@@ -46,7 +46,9 @@ pub use presight_read::log::bag::BagReport;
 #[doc(inline)]
 pub use presight_read::log::lines::{header as range_log_header, line as range_log_line};
 #[doc(inline)]
-pub use presight_read::log::{BagOptions, Frames as LogFrames, LogFrame, Observation, notice_of_readings, read_frame};
+pub use presight_read::log::{
+    BagOptions, Frames as LogFrames, LogFrame, Observation, Recorded, notice_of_readings, read_frame,
+};
 #[doc(inline)]
 pub use presight_read::pose_covariance::{file as pose_covariance_file, parse as parse_pose_covariance};
 #[doc(inline)]

@@ -42,7 +42,8 @@
 //! 5. **Reality.** A [`measured::Frame`] holds a measurement. [`verdict`] compares it with the prediction pixel by
 //!    pixel, [`localize`] computes the robot's pose, tracks it and follows features. [`simulate`]
 //!    makes measurements for tests. `update` learns what differs from the model.
-//! 6. **Files.** [`files`] reads and writes EXR, PLY, PCD, NumPy, JSON and TOML. The crate `presight-pictures` draws
+//! 6. **ROS 2.** `ros` turns answers, predictions and models into messages and bags.
+//! 7. **Files.** [`files`] reads and writes EXR, PLY, PCD, NumPy, JSON and TOML. The crate `presight-pictures` draws
 //!    PNG.
 //!
 //! A world can also be built in code:
@@ -77,7 +78,8 @@
 //!
 //! # Cargo features
 //!
-//! `gpu` (the wgpu engine), `script` (scenes as scripts) and `store` (stored environments) are on by default.
+//! `gpu` (the wgpu engine), `ros` (ROS 2 bags), `script` (scenes as scripts) and `store` (stored environments) are on by
+//! default.
 //! Everything else works without them.
 
 pub mod environment;
@@ -89,6 +91,8 @@ pub mod localize;
 pub mod measured;
 pub mod predict;
 pub mod query;
+#[cfg(feature = "ros")]
+pub mod ros;
 mod scene;
 pub mod sensor;
 pub mod simulate;

@@ -191,7 +191,7 @@ impl Scene {
             self.excluded.extend(environment.object(name).into_iter().chain(below).map(|object| object.name.clone()));
             if self.excluded.len() == before && !self.excluded.contains(name) {
                 let what = format!("`SceneOptions::exclude`: there is no object {}", printable::quoted(name));
-                return Err(Error::usage(what, "presight inspect lists the objects"));
+                return Err(Error::usage(what, environment.objects_remedy(name)));
             }
         }
         // Objects below a path go first: a path with objects below it would become a group.

@@ -223,7 +223,7 @@ impl<'a> Drive<'a> {
 
     /// The log by a caster, which changes at a frame to the one of other shares.
     fn log(&self, mut caster: Caster, then: Option<(usize, Shares)>) -> Log {
-        let (slip, turn_s, jitter) = (caster.slip, caster.turn_s, caster.jitter);
+        let (slip, times, jitter) = (caster.slip, caster.times.clone(), caster.jitter);
         let pose = |t: f64| self.route.at(t);
         let (mut frames, mut truth) = (Vec::new(), Vec::new());
         for k in 0..self.frames {
@@ -231,7 +231,7 @@ impl<'a> Drive<'a> {
                 && at == k
             {
                 caster = self.caster(shares);
-                (caster.slip, caster.turn_s, caster.jitter) = (slip, turn_s, jitter);
+                (caster.slip, caster.times, caster.jitter) = (slip, times.clone(), jitter);
             }
             let time = k as f64 / self.hertz;
             frames.push(caster.frame(&pose, time, (k > 0).then(|| time - 1.0 / self.hertz)));
@@ -341,7 +341,7 @@ fn turning(world: &World, frames: usize, turn_s: f64, seed: u64) -> Log {
         .expect("a scanner");
     let drive = Drive { route: wander(world, &driving, seed), walkers: 0, sensor, ..Drive::new(world, frames, seed) };
     let mut caster = drive.caster(EXACT);
-    caster.turn_s = turn_s;
+    caster.times = RayTimes::turning(turn_s, StampAt::First);
     drive.log(caster, None)
 }
 

@@ -2,12 +2,13 @@
 //! percentiles on two threads, starting from the previous frame's pose. Missing sets of ../shared/data (or
 //! $PRESIGHT_DATA) are skipped.
 //! `cargo bench --bench localize -- alarms 30000 1e-6` (or `accuracy 200`, `fidelity 40`, `noise 60`, `kidnapped`) simulates
-//! drives, see `drives.rs`; `changed` drives through changed rooms, see `changed.rs`, and `wrong 300` for 300 s in maps of other buildings; `-- frames DIR` also writes the frames and their estimates for `benches/peers/localize.sh`.
+//! drives, see `drives.rs`; `changed` drives through changed rooms, see `changed.rs`, `scans` with lidars that turn, see `scans.rs`, and `wrong 300` for 300 s in maps of other buildings; `-- frames DIR` also writes the frames and their estimates for `benches/peers/localize.sh`.
 
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
 mod changed;
 mod drives;
+mod scans;
 
 use cpu_time::ProcessTime;
 use glam::DVec3;
@@ -189,11 +190,13 @@ fn main() {
         Some("noise") => drives::noise(number(60)),
         Some("kidnapped") => drives::kidnapped(),
         Some("changed") => changed::all(&words[1..]),
+        Some("scans") => scans::all(&words[1..]),
+        Some("turns") => scans::turns(&words[1..]),
         Some("wrong") => changed::wrong(&words[1..]),
         Some("leads") => changed::leads(&words[1..]),
         Some(other) => {
             panic!(
-                "{other}: give frames DIR, alarms, accuracy, fidelity, noise, kidnapped, changed, wrong or leads, or nothing"
+                "{other}: give frames DIR, alarms, accuracy, fidelity, noise, kidnapped, changed, scans, turns, wrong or leads, or nothing"
             )
         }
     }

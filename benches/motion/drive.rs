@@ -29,13 +29,13 @@ pub struct Scan {
     path: Vec<(f64, Pose)>,
 }
 
-/// What a frame says of its motion.
+/// The motion that a frame reports.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Told {
     /// The truth.
     Truth,
     Nothing,
-    /// The way in the axes of the world instead of the robot's.
+    /// Velocity along the axes of the world instead of the robot's.
     WorldAxes,
     /// The last column first.
     TurnExchanged,
@@ -73,7 +73,7 @@ impl Scan {
     }
 }
 
-/// A lidar of 40 degrees on the robot, all round.
+/// A lidar on the robot with a full turn of columns and 40 degrees of rows.
 pub fn lidar(columns: u32, rows: u32) -> Sensor {
     let azimuth = Angles::Uniform { start_deg: -180.0, step_deg: 360.0 / f64::from(columns), count: columns };
     let elevation = |r: u32| 20.0 - 40.0 * f64::from(r) / f64::from(rows.max(2) - 1);
@@ -98,9 +98,9 @@ pub fn drive(environment: &Environment, sensor: &Sensor, count: usize, seed: u64
     let scan = |k: usize| {
         let stamp = START_S + EVERY_S * k as f64;
         let pose = route.at(stamp);
-        caster.turn_s = TURN_S;
+        caster.times = RayTimes::turning(TURN_S, StampAt::First);
         let driving = caster.frame(&|t| route.at(t), stamp, None);
-        caster.turn_s = 0.0;
+        caster.times = RayTimes::AtOnce;
         let standing = caster.frame(&|_| pose, stamp, None);
         let path = (-12..=12).map(|i| 0.01 * f64::from(i)).map(|t| (t, route.at(stamp + t))).collect();
         Scan { pose, driving, standing, path }

@@ -1,4 +1,4 @@
-//! What each consumer makes of scans.
+//! Results of each consumer of scans.
 
 use super::drive::{Scan, sensor_pose};
 use presight_explore::{Exploration, ExploreOptions, Known, Views};
@@ -65,7 +65,7 @@ pub fn differing(a: &[String], b: &[String]) -> f64 {
     pairs().filter(|(a, b)| a != b).count() as f64 / pairs().count().max(1) as f64
 }
 
-/// What is explored by frames.
+/// The model explored by frames.
 pub fn explored(frames: &[At]) -> Environment {
     let mut views = Views::default();
     for (frame, pose) in frames {

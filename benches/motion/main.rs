@@ -1,5 +1,5 @@
-//! What verdicts, supervision, exploration and updates make of the scans of a driving robot, with and without its motion,
-//! beside the scans of one that stands at each stamp. `cargo bench --bench motion -- [SCANS [SCENE ..]]`
+//! Verdicts, supervision, exploration and updates by the scans of a driving robot, with and without its motion, and by
+//! those of a robot that stands at each stamp. `cargo bench --bench motion -- [SCANS [SCENE ..]]`
 #![allow(clippy::print_stdout, reason = "benches print")]
 
 mod drive;

@@ -49,6 +49,10 @@ create_exception!(
 
 /// The library's words for arguments, and Python's words.
 const WORDS: &[(&str, &str)] = &[
+    ("`BagOptions::base`", "base="),
+    ("`BagOptions::mount`", "mount="),
+    ("`BagOptions::reflector`", "reflector="),
+    ("`BagOptions::topic`", "topic="),
     ("`Backend::Cpu`", "backend=\"cpu\""),
     ("`Existing::Replace`", "replace"),
     ("`ImportOptions::scale`", "scale="),

@@ -8,6 +8,7 @@ mod arrays;
 mod errors;
 mod many;
 mod measured;
+mod messages;
 mod prediction;
 mod predictor;
 mod process;
@@ -69,7 +70,7 @@ fn _batch_seconds(
 
 #[pymodule(gil_used = false)]
 mod _presight {
-    use super::{errors, many, measured, prediction, predictor, scene, sensor};
+    use super::{errors, many, measured, messages, prediction, predictor, scene, sensor};
     use pyo3::prelude::*;
 
     #[pymodule_export]
@@ -82,6 +83,8 @@ mod _presight {
     use many::Chunks;
     #[pymodule_export]
     use measured::{Frame, Localizer, Log, Step, Verdicts};
+    #[pymodule_export]
+    use messages::Messages;
     #[pymodule_export]
     use prediction::{Feature, Features, Layer, Prediction};
     #[pymodule_export]

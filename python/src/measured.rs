@@ -5,7 +5,7 @@ use super::errors::{Failed, apart, raised, usage, warn};
 use super::process::Shared;
 use super::scene::Scene;
 use super::sensor::{Sensor, sensor_of};
-use presight::files::{LogFrame, LogFrames, Observation};
+use presight::files::{BagOptions, LogFrame, LogFrames, Observation};
 use presight::localize::{
     EstimateOptions, Estimator, Freedom, LocalizeOptions, Localizer as Ours, Search, SearchOptions, Step as OurStep,
 };
@@ -136,7 +136,7 @@ impl Frame {
 
 /// The frames of a log, in memory.
 ///
-/// A log is what `presight localize` takes: a file of ranges, a folder of depth images, a scan or a folder of scans. Its frames come by
+/// A log is what `presight localize` takes: a file of ranges, a folder of depth images, a scan or a folder of scans, or a ROS 2 bag. Its frames come by
 /// index or in a loop; columns are arrays.
 ///
 /// >>> import presight, tempfile, os, json
@@ -161,14 +161,27 @@ const LOOK_BYTES: u64 = 64 << 20;
 #[pymethods]
 impl Log {
     /// Reads a log. `sensor` supplies noise, limits and mount, and must have the log's image size. What the log leaves out is one warning.
+    /// For a ROS 2 bag, `topic` names the measured topic if there are several, `base` the robot's frame (by default `base_link`, else
+    /// `base_footprint`), `mount` the sensor's pose on the robot where no static transform tells it, and `reflector` the intensity of a
+    /// full reflector.
     ///
     /// Raises `Error` naming file and frame, and `MemoryError` for a log that does not fit.
     #[staticmethod]
-    #[pyo3(signature = (path, sensor = None))]
-    fn open(py: Python<'_>, path: PathBuf, sensor: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+    #[pyo3(signature = (path, sensor = None, topic = None, base = None, mount = None, reflector = None))]
+    fn open(
+        py: Python<'_>,
+        path: PathBuf,
+        sensor: Option<&Bound<'_, PyAny>>,
+        topic: Option<String>,
+        base: Option<String>,
+        mount: Option<&Bound<'_, PyAny>>,
+        reflector: Option<f32>,
+    ) -> PyResult<Self> {
         let sensor = sensor.map(sensor_of).transpose()?;
+        let mount = mount.map(|given| pose_of(given, "mount")).transpose()?;
+        let bag = BagOptions::default().with_topic(topic).with_base(base).with_mount(mount).with_reflector(reflector);
         let log = apart(py, || {
-            let mut log = LogFrames::open(&path, sensor.as_ref(), &OdometryNoise::default())?;
+            let mut log = LogFrames::open_with(&path, sensor.as_ref(), &OdometryNoise::default(), &bag)?;
             let (mut frames, mut bytes) = (Vec::new(), 0);
             while let Some(frame) = log.next().transpose()? {
                 bytes += 8 * frame.frame.ranges().len() as u64;
@@ -290,7 +303,7 @@ impl Verdicts {
 
 /// Where the robot is after a frame.
 #[pyclass(frozen, module = "presight")]
-pub struct Step(OurStep);
+pub struct Step(pub OurStep);
 
 #[pymethods]
 impl Step {
@@ -316,6 +329,30 @@ impl Step {
     #[getter]
     fn reason(&self) -> &str {
         &self.0.reason
+    }
+
+    /// True if one pose is known: it was given at the start, or it was found.
+    #[getter]
+    fn is_known(&self) -> bool {
+        self.0.is_known()
+    }
+
+    /// The verdict on each pixel of the frame, or None if nothing was compared.
+    #[getter]
+    fn verdicts(&self) -> Option<Verdicts> {
+        self.0.estimate.verdicts.first().cloned().map(Verdicts)
+    }
+
+    /// Fraction of the measured points that the model explains.
+    #[getter]
+    fn explained(&self) -> f64 {
+        self.0.estimate.explained
+    }
+
+    /// Directions that the measurement does not determine, such as "x" or "x+yaw".
+    #[getter]
+    fn weak(&self) -> Vec<String> {
+        self.0.estimate.weak.iter().map(|weak| weak.name.clone()).collect()
     }
 
     /// The frame's time, seconds.
@@ -438,11 +475,19 @@ impl Localizer {
                         Some(localizer) => localizer,
                         None => follower.insert(self.start.localizer(&self.world, frame.sensor(), self.threads)?),
                     };
-                    let mut step = localizer.step(&self.world, frame)?;
-                    step.estimate.verdicts.clear();
+                    let step = localizer.step(&self.world, frame)?;
                     Ok::<_, Failed>(Step(step))
                 },
             )
+        })
+    }
+
+    /// What limits the poses so far, a line each.
+    #[getter]
+    fn warnings(&self, py: Python<'_>) -> PyResult<Vec<String>> {
+        apart(py, || {
+            let lines = |follower: &mut Option<Ours>| Ok::<_, Failed>(follower.as_ref().map(Ours::warnings));
+            Ok::<_, Failed>(self.follower.with(|| Ok(None), lines)?.unwrap_or_default())
         })
     }
 

@@ -72,7 +72,7 @@ impl Prediction {
     }
 
     /// The prediction with its images as the arrays now are.
-    fn whole(&self, py: Python<'_>, wanted: impl Fn(Output) -> bool) -> PyResult<Ours> {
+    pub fn whole(&self, py: Python<'_>, wanted: impl Fn(Output) -> bool) -> PyResult<Ours> {
         let (width, height) = self.size;
         let mut images = Images { width, height, ..Images::default() };
         for (output, array) in self.arrays.iter().filter(|(output, _)| wanted(*output)) {

@@ -1,7 +1,7 @@
 //! The test kit's own drives: what changes, where the robot drives, and what its scanner reads, by hand.
 
 use super::*;
-use presight_model::sensor::Sensor;
+use presight_model::sensor::{RayTimes, Sensor, StampAt};
 use presight_testkit::caster::{Caster, Slip};
 use presight_testkit::changes::{Shares, changed, is_furniture};
 use presight_testkit::oracle::Oracle;
@@ -107,7 +107,7 @@ fn a_turn_takes_its_time_and_odometry_slips() {
     let route = Route::straight([3.0, 4.0, 0.0], 1.0, 2.0);
     for (turn_s, range) in [(0.0, 9.0), (0.1, 8.95)] {
         let mut caster = Caster::new(&environment, Sensor::new(spec.clone()).unwrap(), 1);
-        (caster.drop_outs, caster.mixed, caster.turn_s) = (0.0, 0.0, turn_s);
+        (caster.drop_outs, caster.mixed, caster.times) = (0.0, 0.0, RayTimes::turning(turn_s, StampAt::First));
         caster.slip = Some(Slip { noise: [0.0; 2], ..Slip::USUAL });
         let first = caster.frame(&|t| route.at(t), 0.0, None);
         assert!((first.ranges()[180] - range).abs() < 1e-5, "{}", first.ranges()[180]);

@@ -16,6 +16,7 @@ mod noise;
 mod objects;
 mod reflectors;
 mod rooms;
+mod scans;
 mod search;
 mod simulated;
 mod singular;

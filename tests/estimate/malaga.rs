@@ -40,7 +40,7 @@ fn a_run_of_scans_is_tracked() {
     let start = PoseEstimate::of_sigmas(frames[0].reference.unwrap(), 0.1, 0.05);
     let mut robot = Localizer::new(estimator(EstimateOptions::planar()), start, LocalizeOptions::default());
     let (mut metres, mut degrees, mut sum, mut near, mut beams) = (Vec::new(), Vec::new(), 0.0, 0, 0);
-    for (k, Observation { frame, reference }) in frames.iter().enumerate() {
+    for (k, Observation { frame, reference, .. }) in frames.iter().enumerate() {
         let step = robot.step(&map, frame).unwrap();
         assert!(k < 2 || step.phase == Phase::Tracking, "{k}: {}", step.reason);
         let (m, d) = apart(&step.pose.world_from_robot, &reference.unwrap().world_from_robot());
@@ -119,7 +119,7 @@ fn an_unknown_start_is_found_and_a_mirrored_map_is_not() {
             let options = LocalizeOptions::default();
             let mut robot = Localizer::unknown(estimator(EstimateOptions::planar()), search.clone(), options);
             let mut phase = Phase::Unknown;
-            for (k, Observation { frame, reference }) in
+            for (k, Observation { frame, reference, .. }) in
                 frames.iter().enumerate().skip(start).take(if mirror { 7 } else { 5 })
             {
                 let frame = if mirror { mirrored(frame) } else { frame.clone() };
@@ -156,7 +156,7 @@ fn the_best_candidate_of_a_scan_is_right() {
     let search = search(&map, &frames[0].frame);
     let mut found = estimator(EstimateOptions::planar());
     let mut wrong = 0;
-    for Observation { frame, reference } in frames.iter().step_by(every).take(if every > 1 { 2 } else { 37 }) {
+    for Observation { frame, reference, .. } in frames.iter().step_by(every).take(if every > 1 { 2 } else { 37 }) {
         let best = &search.candidates(&mut found, &map, frame).unwrap()[0];
         let (m, d) = apart(&best.pose.world_from_robot, &reference.unwrap().world_from_robot());
         wrong += usize::from(m > 0.1 || d > 1.0);

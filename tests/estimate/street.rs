@@ -35,7 +35,7 @@ fn scans_are_found_in_the_surface_of_the_first() {
     let draws = presight_testkit::env_number("PRESIGHT_STREET_DRAWS", 2);
     // Reached: 1.0 cm, 0.20 deg and 0.102 m (0.09 is the aim); 8.5 cm, 0.35 deg and 0.17 m.
     for (k, most_metres, most_degrees, most_residual) in [(1, 0.04, 0.25, 0.105), (2, 0.12, 0.5, 0.20)] {
-        let Observation { frame, reference } = &scans[k];
+        let Observation { frame, reference, .. } = &scans[k];
         let reference = reference.unwrap().world_from_robot();
         let mut starts = vec![Pose::IDENTITY];
         starts.extend((0..draws).map(|_| off_by(&reference, 1.0, 15.0, &mut random)));
@@ -58,7 +58,7 @@ fn scans_are_found_in_the_surface_of_the_first() {
 #[test]
 fn a_mirrored_scan_is_undetermined() {
     let Some(map) = map() else { return };
-    let Observation { frame, reference } = &scans()[1];
+    let Observation { frame, reference, .. } = &scans()[1];
     let Geometry::Rays(table) = &frame.sensor().spec().geometry else { panic!("a table of rays") };
     let mirrored = table.directions().iter().map(|d| DVec3::new(d.x, -d.y, d.z)).collect();
     let table = presight_model::sensor::RayTable::new(table.width(), table.height(), mirrored).unwrap();

@@ -22,7 +22,7 @@ fn a_scan_that_turns_is_as_unsure_as_its_motion() {
     spec.mount.translation.z = 0.5;
     let sensor = Sensor::new(spec).unwrap();
     let mut caster = Caster::new(world.environment(), sensor.clone(), 1);
-    caster.turn_s = 0.1;
+    caster.times = RayTimes::turning(0.1, StampAt::First);
     let options = EstimateOptions::of(&sensor).with_learns_sigma(true);
     let prior = PoseEstimate::of_sigmas(RobotPose::new(route.at(0.0)), 0.02, 0.01);
     let mut robot = Localizer::new(estimator(options), prior, LocalizeOptions::default());

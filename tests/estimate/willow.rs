@@ -196,7 +196,7 @@ fn single_scans_in_an_outdated_model() {
     let Some(model) = model() else { return };
     let mut random = Random(5);
     let (mut metres, mut degrees) = (Vec::new(), Vec::new());
-    for log::Observation { frame, reference } in log_of_scans().map(Result::unwrap) {
+    for log::Observation { frame, reference, .. } in log_of_scans().map(Result::unwrap) {
         let truth = reference.unwrap().world_from_robot();
         let mut off = |sigma: f64| sigma * normal(&mut random);
         let start = moved(&truth, &[off(0.3), off(0.3), 0.0, 0.0, 0.0, off(3f64.to_radians())]);
@@ -230,7 +230,7 @@ fn scans_from_elsewhere_are_never_tracked() {
         let first = scans.next().unwrap();
         let mut robot = robot(PoseEstimate::of_sigmas(first.reference.unwrap(), 0.05, 0.03));
         robot.step(&model, &first.frame).unwrap();
-        for log::Observation { frame, reference } in scans {
+        for log::Observation { frame, reference, .. } in scans {
             let step = robot.step(&model, &frame).unwrap();
             let (metres, _) = apart(&step.pose.world_from_robot, &reference.unwrap().world_from_robot());
             frames += 1;

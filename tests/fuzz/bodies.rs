@@ -335,6 +335,70 @@ pub fn log(bytes: &[u8]) -> bool {
     })
 }
 
+/// Messages of ROS 2, the first byte chooses the type: an accepted message is the same after it has been written, and
+/// transforms and measurements leave a running robot's frames sound.
+#[cfg(feature = "ros")]
+pub fn messages(bytes: &[u8]) -> bool {
+    use presight_ros::message::{
+        CameraInfo, CompressedImage, DiagnosticArray, Image, LaserScan, MarkerArray, Message, Odometry, PointCloud2,
+        PoseWithCovarianceStamped, TFMessage,
+    };
+    let Some((kind, data)) = bytes.split_first() else { return false };
+    macro_rules! again {
+        ($message:ident) => {
+            $message::decode(data).ok().map(|message| {
+                let written = message.encode();
+                // NaN does not equal itself, but its text does.
+                let read = format!("{:?}", $message::decode(&written).expect("a written message can be read"));
+                assert_eq!(read, format!("{message:?}"));
+                $message::TYPE
+            })
+        };
+    }
+    let found = match kind % 10 {
+        0 => again!(LaserScan),
+        1 => again!(PointCloud2),
+        2 => again!(Image),
+        3 => again!(CompressedImage),
+        4 => again!(CameraInfo),
+        5 => again!(TFMessage),
+        6 => again!(Odometry),
+        7 => again!(PoseWithCovarianceStamped),
+        8 => again!(DiagnosticArray),
+        _ => again!(MarkerArray),
+    };
+    let Some(message_type) = found else { return false };
+    let mut live = log::bag::LiveFrames::new(log::BagOptions::default(), None, Default::default());
+    for (name, message_type) in [("/tf_static", message_type), ("/tf", message_type), ("/scan", message_type)] {
+        let topic =
+            presight_ros::Topic { name: name.into(), message_type: message_type.into(), encoding: "cdr".into() };
+        let record = presight_ros::Record { topic: topic.into(), log_time_ns: 1, data: data.to_vec() };
+        let _ = live.add(record);
+        live.newest().iter().for_each(|o| o.frame.motion.iter().for_each(|m| check_pose(&m.previous_from_current)));
+    }
+    true
+}
+
+/// Bags: frames have rising stamps and sound poses.
+#[cfg(feature = "ros")]
+pub fn bag(bytes: &[u8]) -> bool {
+    with_file("fuzz.mcap", bytes, |path| {
+        let options = log::BagOptions::default();
+        let Ok(report) = log::bag::BagReport::of(path, &options) else { return false };
+        assert!(!report.lines().is_empty() && report.to_json().starts_with('{'));
+        let Ok(log) = log::Frames::open_with(path, None, &Default::default(), &options) else { return false };
+        let mut time = f64::NEG_INFINITY;
+        for observation in log {
+            let Ok(log::Observation { frame, reference, .. }) = observation else { return false };
+            assert!(frame.stamp > time, "{} after {time}", frame.stamp);
+            time = frame.stamp;
+            reference.iter().for_each(|robot| check_pose(&robot.world_from_robot()));
+            frame.motion.iter().for_each(|motion| check_pose(&motion.previous_from_current));
+        }
+        true
+    })
+}
+
 /// Scans of points: an accepted one has times within a minute of its stamp, and the motion of a robot can be undone.
 pub fn cloud(bytes: &[u8]) -> bool {
     let name = if bytes.starts_with(b"ply") { "7.5.ply" } else { "7.5.pcd" };

@@ -152,6 +152,10 @@ targets! {
     robot: &["[[sensors]]", "sensor", "mount", "eye.toml", "cam.yaml", "laser-scanner", "xyz", "rpy_deg"];
     cloud: &["property uint t\n", "property double timestamp\n", "FIELDS x y z t\n", "SIZE 4 4 4 8\n", "TYPE F F F U\n", "DATA binary\n", "1e9", "nan", "-0.1", "WIDTH 2\nHEIGHT 2\n"];
     log: &["\n", "null", "\"inf\"", "\"-inf\"", "{\"t\":2,\"range\":[1,2,3]}", "\"odometry\"", "\"reference\"", "\"times\":[0,0.1,0.2]", "\"twist\":[1,0,0,0,0,1]", "\"stamp\":\"last\"", "turn_s", "range_max", "1e308", "\"scans\"", "\"valid\""];
+    #[cfg(feature = "ros")]
+    messages: &["\0\x01\0\0", "\0\0\0\0", "\x01\0\0\0", "/laser\0", "odom\0", "base_link\0"];
+    #[cfg(feature = "ros")]
+    bag: &["MCAP0\r\n", "sensor_msgs/msg/LaserScan", "/tf", "cdr", "ros2msg", "zstd", "lz4", "topics", "messages"];
     exr: &["range\0", "polygon_id\0", "presight:format\0", "string\0", "channels\0", "dataWindow\0", "box2i\0", "tiledesc\0"];
     scenes: &[];
 }

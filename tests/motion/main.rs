@@ -1,4 +1,4 @@
-//! The scans of a robot that drives while its lidar turns give what those of a standing one give, wherever frames are used.
+//! A robot that drives while its lidar turns gets the results of a standing robot, wherever frames are used.
 //! `cargo bench --bench motion` has the whole figures.
 #![allow(clippy::print_stdout, reason = "tests print their figures on request")]
 
@@ -31,7 +31,8 @@ fn driven(count: usize, seed: u64) -> (World, Sensor, Vec<Scan>, Vec<Pose>) {
     (world, sensor, scans, between)
 }
 
-/// Also finds the planted faults: no motion, a way in the world's axes, the other direction, times before the stamp.
+/// Planted faults lower the share: no motion, a velocity in the world's axes, the other direction of turning, times
+/// before the stamp.
 #[test]
 fn verdicts_of_a_driving_robot_are_those_of_a_standing_one() {
     let (world, _, scans, _) = driven(6, 1);

@@ -203,7 +203,7 @@ impl Args {
         for log in &self.logs {
             let mut frames = LogFrames::open_with(log, sensor, &Default::default(), &self.bag.options()?)?;
             for observation in frames.by_ref() {
-                let Observation { frame, reference } = observation?;
+                let Observation { frame, reference, .. } = observation?;
                 let frame = if self.stride > 1 { frame.thinned(self.stride)? } else { frame };
                 let first = match start.or(reference) {
                     Some(pose) => *start.insert(pose),
@@ -246,7 +246,7 @@ impl Args {
         let (mut without, mut count, mut steps) = (0, 0, Vec::new());
         let mut before: Option<(f64, Pose)> = None;
         for observation in frames.by_ref() {
-            let Observation { frame, reference } = observation?;
+            let Observation { frame, reference, .. } = observation?;
             let pose = match poses {
                 None => reference.map(|robot| robot.world_from_robot()),
                 Some(poses) => pose_at(poses, frame.stamp),

@@ -6,6 +6,8 @@ mod bag_args;
 mod bar;
 mod batch;
 mod compare;
+#[cfg(feature = "ros")]
+mod compared_bag;
 mod deadline;
 mod doctor;
 mod drive;
@@ -29,6 +31,8 @@ mod localize;
 mod motion_args;
 #[cfg(feature = "store")]
 mod occupancy;
+#[cfg(feature = "ros")]
+mod output_bag;
 mod outputs;
 mod overlap;
 pub mod pose;
@@ -305,6 +309,17 @@ fn conclude(done: Result<CommandOutcome>) -> u8 {
     }
 }
 
+/// The flag, command or value whose spelling is most like the one that was given.
+fn suggestion(e: &clap::Error) -> Option<String> {
+    use clap::error::{ContextKind, ContextValue};
+    let kinds = [ContextKind::SuggestedArg, ContextKind::SuggestedSubcommand, ContextKind::SuggestedValue];
+    kinds.into_iter().find_map(|kind| match e.get(kind)? {
+        ContextValue::String(one) => Some(one.clone()),
+        ContextValue::Strings(all) => all.last().cloned(),
+        _ => None,
+    })
+}
+
 /// Prints help and version to stdout. Prints a usage error as one line, like every other error.
 fn refuse(e: &clap::Error, arguments: &[OsString]) -> u8 {
     use clap::error::ErrorKind as Clap;
@@ -317,9 +332,9 @@ fn refuse(e: &clap::Error, arguments: &[OsString]) -> u8 {
     let text = e.to_string();
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
     let before_usage = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
-    // Clap suggests flags with a similar spelling, which may have another purpose.
     let useful = |line: &String| !line.is_empty() && !line.starts_with("tip:");
-    let message: Vec<String> = before_usage.map(words).filter(useful).collect();
+    let mut message: Vec<String> = before_usage.map(words).filter(useful).collect();
+    message.extend(suggestion(e).map(|alike| format!("(did you mean {alike}?)")));
     let command = arguments
         .get(1)
         .and_then(|a| a.to_str())

@@ -1,6 +1,8 @@
 //! `presight localize`: the robot's pose at each frame of a log.
 
 use super::drive::{Drive, FeatureCounts, Followed, verdict_counts};
+#[cfg(feature = "ros")]
+use super::output_bag::OutputBag;
 use super::outputs::OutputFiles;
 use super::resume::{Mark, Resumed};
 use super::{CommandOutcome, print};
@@ -16,6 +18,7 @@ const EXAMPLES: &str = "Examples:
   presight localize scans.json --map corridor.glb --init unknown --out run.tum
   presight localize livingroom --map livingroom/livingroom_map.glb --stride 4 --from 30 \\
     --init unknown --floor 0.75 --floor-to 1.3 --lean 0,16.6 --margin 1 --surrounded 0.02 --out run.tum
+  presight localize drive.mcap --map hall.glb --init unknown --out drive.tum --mcap answers.mcap
   presight localize street_1.ply --map street_map.glb \\
     --init 0,0,0,0,0,0 --init-sigma 0.3 --init-sigma-deg 8 --out run.tum";
 
@@ -37,6 +40,11 @@ pub struct Args {
     /// Write the poses here: lines of timestamp tx ty tz qx qy qz qw
     #[arg(long, value_name = "FILE.tum")]
     out: PathBuf,
+
+    /// Also write the poses as a ROS 2 bag: /tf (map to odom, or to the base), /presight/pose and /diagnostics
+    #[cfg(feature = "ros")]
+    #[arg(long, value_name = "OUT.mcap")]
+    mcap: Option<PathBuf>,
 }
 
 /// Runs the command.
@@ -49,13 +57,21 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let details = (!is_through(&args.out)).then(|| args.out.with_extension("jsonl"));
     details.iter().try_for_each(|path| files.add_any(path))?;
     details.iter().try_for_each(|path| files.add_any(&path.with_extension("resume")))?;
+    #[cfg(feature = "ros")]
+    let mut bag = OutputBag::of("--mcap", args.mcap.as_deref(), &mut files)?;
     let mark = details.as_ref().map(|_| {
         let inputs: Vec<&Path> = [args.drive.log.as_path(), &args.drive.map].into_iter().collect();
         Mark::new(&args.out, &format!("{args:?}"), &inputs)
     });
-    let resumed = mark.as_ref().zip(details.as_deref()).and_then(|(mark, details)| mark.resumed(&args.out, details));
+    // A bag has an index at its end, so it is written anew.
+    #[cfg(feature = "ros")]
+    let goes_on = bag.is_none();
+    #[cfg(not(feature = "ros"))]
+    let goes_on = true;
+    let earlier = mark.as_ref().filter(|_| goes_on).zip(details.as_deref());
+    let resumed = earlier.and_then(|(mark, details)| mark.resumed(&args.out, details));
     let mut lines: Option<Lines> = None;
-    let followed = args.drive.learning().follow(files, resumed.as_ref(), |_, _, step| {
+    let followed = args.drive.learning().follow(files, resumed.as_ref(), |_, sensed, step| {
         // Only now: an error before the first step leaves the files of an earlier run.
         let lines = match &mut lines {
             Some(lines) => lines,
@@ -64,10 +80,16 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
                 lines.insert(Lines::open(&args.out, details.as_deref(), resumed.as_ref())?)
             }
         };
+        #[cfg(feature = "ros")]
+        bag.iter_mut().try_for_each(|bag| bag.answers(sensed, step))?;
+        #[cfg(not(feature = "ros"))]
+        let _ = sensed;
         lines.add(step)
     })?;
     let is_marked = lines.is_some() || resumed.is_some();
     lines.map_or(Ok(()), Lines::finish)?;
+    #[cfg(feature = "ros")]
+    bag.iter_mut().try_for_each(OutputBag::finish)?;
     mark.iter().filter(|_| is_marked).try_for_each(Mark::clear)?;
     print::data(&summary(&followed))?;
     print::notices(&noise_is_assumed(&args.drive, &followed));

@@ -1,11 +1,19 @@
 //! `presight replay`: a drive as images, with a page to browse them.
 
+#[cfg(feature = "ros")]
+use super::compared_bag::ComparedBag;
 use super::drive::{Drive, FeatureCounts, Followed, Sensed};
 use super::localize::summary;
+#[cfg(feature = "ros")]
+use super::output_bag::OutputBag;
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, print};
 use glam::EulerRot;
+#[cfg(feature = "ros")]
+use presight::PoseEstimate;
 use presight::features::{BoxOptions, FeatureOptions, Hidden};
+#[cfg(feature = "ros")]
+use presight::files::Observation;
 use presight::localize::{FeatureClass, FeatureFindings, Shape, Step, nees};
 use presight::measured::Frame;
 use presight::tools::{create_folder, write_atomically};
@@ -20,7 +28,9 @@ use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   presight replay livingroom --map livingroom/livingroom_map.glb --init reference --stride 4 --out flight
-  presight replay run --map hall.glb --init reference --layer edges.json --out drive";
+  presight replay run --map hall.glb --init reference --layer edges.json --out drive
+  presight replay drive.mcap --map hall.glb --init unknown --mcap compared.mcap
+  presight replay survey.mcap --map cad.glb --init reference --given --mcap compared.mcap";
 
 /// Show a drive: an image for each frame, and a page to browse them
 ///
@@ -47,20 +57,24 @@ pub struct Args {
     learn: bool,
 
     /// Write index.html and frames/*.png into this folder
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-}
+    #[cfg_attr(feature = "ros", arg(long, value_name = "DIR", required_unless_present = "mcap"))]
+    #[cfg_attr(not(feature = "ros"), arg(long, value_name = "DIR", required = true))]
+    out: Option<PathBuf>,
 
-/// Colours of verdicts: muted for confirmed pixels, and distinguishable with red-green colour blindness.
-const LEGEND: [(&str, [u8; 3]); 7] = [
-    ("confirmed", [0x2f, 0x6f, 0x5e]),
-    ("nearer", [0xff, 0x8c, 0x42]),
-    ("farther", [0x56, 0xb4, 0xe9]),
-    ("no return", [0x0b, 0x0c, 0x0f]),
-    ("beyond", [0x26, 0x2a, 0x33]),
-    ("undecidable", [0x8a, 0x90, 0x9c]),
-    ("not predicted", [0xcc, 0x79, 0xa7]),
-];
+    /// Write a ROS 2 bag for RViz, Foxglove or Rerun: measurements, predictions, verdicts, poses and the model
+    ///
+    /// For each measured message the bag has the prediction with the same stamp, frame and type on /presight/predicted,
+    /// and on /presight/verdict its points with residual, verdict, object_id and the colours of the page. It also has
+    /// the measured message itself, the model on /presight/model, and what `localize --mcap` writes.
+    #[cfg(feature = "ros")]
+    #[arg(long, value_name = "OUT.mcap")]
+    mcap: Option<PathBuf>,
+
+    /// Predict at the log's own poses instead of following the robot: a survey against a model
+    #[cfg(feature = "ros")]
+    #[arg(long, requires = "mcap", conflicts_with = "out")]
+    given: bool,
+}
 
 /// Colours of predicted features by class, and of detections.
 const FEATURES: [(&str, [u8; 3]); 6] = [
@@ -85,8 +99,15 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         }
     }
     let mut files = OutputFiles::default();
-    files.add_folder(&args.out, &["index.html"])?;
-    let frames = args.out.join("frames");
+    args.out.iter().try_for_each(|out| files.add_folder(out, &["index.html"]))?;
+    #[cfg(feature = "ros")]
+    let mut bag = OutputBag::of("--mcap", args.mcap.as_deref(), &mut files)?
+        .map(|bag| ComparedBag::new(bag, args.drive.threads))
+        .transpose()?;
+    #[cfg(feature = "ros")]
+    if let Some(bag) = bag.as_mut().filter(|_| args.given) {
+        return given(args, files, bag);
+    }
     let (mut painter, mut pictures) = (None, Vec::new());
     #[cfg(feature = "store")]
     let mut learning = args.learn.then(super::update::Learning::new).transpose()?;
@@ -96,16 +117,21 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     #[cfg(not(feature = "store"))]
     let drive = args.drive.learning();
     let followed = drive.follow(files, None, |scene, sensed, step| {
-        let painter = match &mut painter {
-            Some(painter) => painter,
-            None => {
-                create_folder(&args.out)?;
-                create_folder(&frames)?;
-                painter.insert(Painter::new(args, scene, sensed)?)
-            }
-        };
+        #[cfg(feature = "ros")]
+        bag.iter_mut().try_for_each(|bag| bag.step(scene, sensed, step))?;
         let name = format!("{:06}.png", pictures.len());
-        painter.paint(scene, sensed, step, &frames.join(&name))?;
+        if let Some(out) = &args.out {
+            let frames = out.join("frames");
+            let painter = match &mut painter {
+                Some(painter) => painter,
+                None => {
+                    create_folder(out)?;
+                    create_folder(&frames)?;
+                    painter.insert(Painter::new(args, scene, sensed)?)
+                }
+            };
+            painter.paint(scene, sensed, step, &frames.join(&name))?;
+        }
         pictures.push(format!("frames/{name}"));
         #[cfg(feature = "store")]
         learning.iter_mut().try_for_each(|learning| learning.observe(&scene.world, step, sensed.frame))?;
@@ -114,6 +140,13 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if pictures.is_empty() {
         return Err(Error::invalid("there are no frames to show", "give an earlier --from").in_file(&args.drive.log));
     }
+    #[cfg(feature = "ros")]
+    bag.iter_mut().try_for_each(ComparedBag::finish)?;
+    let told = summary(&followed);
+    let Some(out) = &args.out else {
+        print::data(&told)?;
+        return Ok(CommandOutcome::Done);
+    };
     let extra = (args.reference_sigma, args.reference_sigma_deg.to_radians());
     #[cfg_attr(not(feature = "store"), expect(unused_mut, reason = "only learning adds to the leaves"))]
     let mut leaves: Vec<Leaf> = (0..pictures.len()).map(|k| leaf(&followed, k, &pictures[k], extra)).collect();
@@ -121,11 +154,37 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     for (leaf, learnt) in leaves.iter_mut().zip(learning.iter().flat_map(|learning| &learning.notes)) {
         leaf.reason += learnt;
     }
-    let told = summary(&followed);
     let title = format!("{} in {}", args.drive.log.display(), args.drive.map.display());
     let html = page(&title, &told.trim_end().replace('\n', "; "), &leaves);
-    write_atomically(&args.out.join("index.html"), |file| file.write_all(html.as_bytes()))?;
+    write_atomically(&out.join("index.html"), |file| file.write_all(html.as_bytes()))?;
     print::data(&told)?;
+    Ok(CommandOutcome::Done)
+}
+
+/// Compares a log with the model at the log's own poses.
+#[cfg(feature = "ros")]
+fn given(args: &Args, files: OutputFiles, bag: &mut ComparedBag) -> Result<CommandOutcome> {
+    args.drive.check_outputs(&files)?;
+    let scene = args.drive.scene()?;
+    files.check_scene(&scene.files)?;
+    let (mut with, mut without) = (0, 0);
+    args.drive.read(&scene, None, |scene, Observation { frame, reference, recorded }| {
+        let Some(reference) = reference else {
+            without += 1;
+            return Ok(());
+        };
+        with += 1;
+        let robot = PoseEstimate::of_sigmas(*reference, args.reference_sigma, args.reference_sigma_deg.to_radians());
+        let sensed = Sensed { frame, grey: None, beside: &[], recorded: recorded.as_deref() };
+        bag.given(scene, &sensed, &robot, args.drive.options(frame.sensor()).model_sigma)
+    })?;
+    if with == 0 {
+        let remedy = "give a log with poses, such as /tf from map to the robot, or leave out --given";
+        return Err(Error::invalid("the log has no poses", remedy).in_file(&args.drive.log));
+    }
+    bag.finish()?;
+    print::notices(&(without > 0).then(|| format!("{without} frames have no pose and are left out")));
+    print::lines([format!("{with} frames compared at the log's own poses")])?;
     Ok(CommandOutcome::Done)
 }
 
@@ -155,6 +214,7 @@ impl Painter {
         // The estimate is of that moment.
         let moment = sensed.frame.at_one_moment()?;
         let (frame, sensor) = (&*moment.frame, moment.frame.sensor());
+        let legend = Judged::ALL.map(|verdict| (word(verdict), verdict.color()));
         if frame.grey().is_some() {
             let nothing = Images::default();
             let alone = Comparison {
@@ -162,7 +222,7 @@ impl Painter {
                 predicted: &nothing,
                 sensed: &[],
                 verdicts: &[],
-                legend: &LEGEND,
+                legend: &legend,
                 features: None,
                 grey,
                 plan: None,
@@ -199,12 +259,21 @@ impl Painter {
             predicted: &predicted.images,
             sensed: frame.ranges(),
             verdicts: &judged,
-            legend: &LEGEND,
+            legend: &legend,
             features: overlay.as_ref(),
             grey,
             plan: plan.map(|marks| PlanMarks { marks, legend: &FEATURES }),
         };
         write_comparison(path, &comparison)
+    }
+}
+
+/// A verdict in words.
+fn word(verdict: Judged) -> &'static str {
+    match verdict {
+        Judged::NoReturn => "no return",
+        Judged::NotPredicted => "not predicted",
+        one_word => one_word.name(),
     }
 }
 

@@ -1,11 +1,15 @@
 //! `presight simulate`: a simulated log of a robot's depth camera or scanner on a drive.
 
+#[cfg(feature = "ros")]
+use super::output_bag::OutputBag;
 use super::outputs::OutputFiles;
 use super::sensor_args::SensorArgs;
 use super::{CommandOutcome, open_scene};
 use presight::environment::IndexKind;
 use presight::files::{self, ImportOptions, LogFrame, StampedPose, load_sensor};
 use presight::measured::{Frame, ScanMotion};
+#[cfg(feature = "ros")]
+use presight::ros::{MessageOrigin, Record, sensed};
 use presight::simulate::{Disturbances, GreySimulator, Simulator, Walkers, displace};
 use presight::tools::{create_folder, write_atomically};
 use presight::{Backend, Error, Images, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads, Twist};
@@ -70,6 +74,11 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
+    /// Also write the log as a ROS 2 bag: /tf, /tf_static, and scan and points, or depth and camera_info
+    #[cfg(feature = "ros")]
+    #[arg(long, value_name = "OUT.mcap")]
+    mcap: Option<PathBuf>,
+
     /// Seed of the random numbers
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -106,6 +115,10 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::default();
     files.add_folder(&args.out, &["camera.json", "odometry.txt", "poses.txt", "sensor.toml", "grey.toml", SCANS])?;
+    #[cfg(feature = "ros")]
+    let mut bag = OutputBag::of("--mcap", args.mcap.as_deref(), &mut files)?;
+    #[cfg(feature = "ros")]
+    let mut driven = Pose::IDENTITY;
     let sensors = [Some(&args.sensor), args.grey.as_ref()].into_iter().flatten().map(Path::new);
     files.check_named([args.scene.as_path(), args.poses.as_path()].into_iter().chain(sensors))?;
     let sensor = args.image.load(&args.sensor)?;
@@ -129,11 +142,19 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     files.check_scene(&scene.files)?;
     create_folder(&args.out)?;
     let mut done = 0;
-    let mut next = |scene: &mut Scene, pose: &StampedPose| {
+    let mut next = |scene: &mut Scene, pose: &StampedPose| -> Result<Frame> {
         walkers.walk(&mut scene.world, pose.time)?;
         let motion = motion_at(&poses, done, &sensor);
         done += 1;
-        simulator.frame_in_motion(&scene.world, pose.time, &RobotPose::new(pose.pose), motion.as_ref())
+        let robot = RobotPose::new(pose.pose);
+        let frame = simulator.frame_in_motion(&scene.world, pose.time, &robot, motion.as_ref())?;
+        #[cfg(feature = "ros")]
+        if let Some(bag) = &mut bag {
+            let since = frame.motion.map_or(Pose::IDENTITY, |motion| motion.previous_from_current);
+            driven = driven * since;
+            bag.add(records(&frame, &pose.pose, driven, bag.is_empty())?)?;
+        }
+        Ok(frame)
     };
     match &camera {
         None => write_scans(&args.out.join(SCANS), &sensor, &poses, |pose| next(&mut scene, pose))?,
@@ -159,11 +180,23 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             write_text(&args.out.join("poses.txt"), &files::poses_txt(&sensor, &poses))?;
         }
     }
+    #[cfg(feature = "ros")]
+    bag.iter_mut().try_for_each(OutputBag::finish)?;
     write_text(&args.out.join("sensor.toml"), &files::sensor_to_toml(sensor.spec()))?;
     if let Some(grey) = &grey {
         write_text(&args.out.join("grey.toml"), &files::sensor_to_toml(grey.camera().spec()))?;
     }
     Ok(CommandOutcome::Done)
+}
+
+/// The messages of a simulated frame: the true pose as the transform from `map`, and its odometry from `odom`.
+#[cfg(feature = "ros")]
+fn records(frame: &Frame, truth: &Pose, odom_from_robot: Pose, is_first: bool) -> Result<Vec<Record>> {
+    let mut origin = MessageOrigin::of_frame(frame, None);
+    origin.odom = Some(("odom".into(), odom_from_robot));
+    let mount = is_first.then(|| origin.mount(frame.sensor()));
+    let transforms = [Some(origin.localization(truth)), origin.odometry()].into_iter().flatten();
+    Ok(mount.into_iter().chain(transforms).chain(sensed(frame, &origin)?).collect())
 }
 
 /// How the robot moves during the scan at a pose: constantly, as between this pose and its neighbour on the side of the

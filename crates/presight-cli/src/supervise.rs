@@ -1,11 +1,19 @@
 //! `presight supervise`: the free and the blocked cells of a corridor, frame by frame.
 
+#[cfg(feature = "ros")]
+use super::compared_bag::ComparedBag;
 use super::drive::{Drive, Sensed};
+#[cfg(feature = "ros")]
+use super::output_bag::OutputBag;
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, print};
+#[cfg(feature = "ros")]
+use glam::DVec3;
 use presight::files;
 use presight::localize::{Phase, Step};
 use presight::measured::Frame;
+#[cfg(feature = "ros")]
+use presight::ros::{MarkerKind, MessageOrigin, Record, SceneMarker};
 use presight::supervise::{CellState, Cells, Intrusion, Report, SuperviseOptions, Supervisor, UnseenReason};
 use presight::tools::GrowingFile;
 use presight::virtual_sensors::{Corridor, CorridorFrame};
@@ -74,6 +82,12 @@ pub struct Args {
     /// Leave unseen what cannot be looked at in this time, milliseconds a frame
     #[arg(long, value_name = "MS")]
     deadline_ms: Option<f64>,
+
+    /// Write a ROS 2 bag: what `replay --mcap` writes, and cells and intrusions on /presight/corridor and
+    /// /presight/intrusions
+    #[cfg(feature = "ros")]
+    #[arg(long, value_name = "OUT.mcap")]
+    mcap: Option<PathBuf>,
 }
 
 impl Args {
@@ -118,6 +132,10 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut files = OutputFiles::default();
     files.add("--out", Some(&args.out), &["jsonl"])?;
     files.add("--png", args.png.as_deref(), &["png"])?;
+    #[cfg(feature = "ros")]
+    let mut bag = OutputBag::of("--mcap", args.mcap.as_deref(), &mut files)?
+        .map(|bag| ComparedBag::new(bag, args.drive.threads))
+        .transpose()?;
     files.check_named([args.corridor.as_path()])?;
     files.check_named(args.robot.as_deref())?;
     let corridor = files::read_corridor(&args.corridor)?;
@@ -129,8 +147,20 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             Some(run) => run,
             None => run.insert(Run::new(args, &corridor, options, sensed.frame)?),
         };
-        run.add(scene, sensed, step)
+        let report = run.add(scene, sensed, step)?;
+        #[cfg(feature = "ros")]
+        if let Some(bag) = &mut bag {
+            bag.step(scene, sensed, step)?;
+            bag.conclude(|origin| {
+                let cells = corridor_markers(run.supervisor.cells(), &report, origin, &corridor);
+                vec![cells, intrusion_markers(&report, origin)]
+            })?;
+        }
+        run.shown.get_or_insert(report);
+        Ok(())
     })?;
+    #[cfg(feature = "ros")]
+    bag.iter_mut().try_for_each(ComparedBag::finish)?;
     let Some(run) = run else { return Ok(CommandOutcome::Done) };
     let Run { supervisor, out, frames, intruded, not_compared, first, shown, .. } = run;
     out.finish()?;
@@ -161,7 +191,8 @@ impl Run {
         Ok(Self { supervisor, predictor, out, frames, intruded, not_compared, first: None, shown: None })
     }
 
-    fn add(&mut self, scene: &Scene, sensed: &Sensed<'_>, step: &Step) -> Result<()> {
+    /// Looks at a frame. The report is drawn if no more telling one was before.
+    fn add(&mut self, scene: &Scene, sensed: &Sensed<'_>, step: &Step) -> Result<Report> {
         let robot = (step.phase == Phase::Tracking).then_some(&step.pose);
         let frames: Vec<&Frame> = std::iter::once(sensed.frame).chain(sensed.beside).collect();
         let report = self.supervisor.supervise(&mut self.predictor, &scene.world, &frames, robot)?;
@@ -177,9 +208,9 @@ impl Run {
         }
         let is_telling = |r: &Report| r.is_compared && !r.intrusions.is_empty();
         if !self.shown.as_ref().is_some_and(is_telling) {
-            self.shown = Some(report);
+            self.shown = None;
         }
-        Ok(())
+        Ok(report)
     }
 }
 
@@ -249,6 +280,51 @@ fn intrusion(scene: &Scene, i: &Intrusion, world_from_robot: Option<&Pose>) -> V
         "pixels": i.pixels, "false_alarms": i.false_alarms,
         "object": i.object.map(|o| name(scene, o)),
     })
+}
+
+/// The cells of the corridor that are not free, and the boxes of intrusions: intruded cells red, known ones green,
+/// unseen ones grey.
+#[cfg(feature = "ros")]
+fn corridor_markers(cells: &Cells, report: &Report, origin: &MessageOrigin, corridor: &Corridor) -> Record {
+    const GREY: [f32; 4] = [0.5, 0.5, 0.5, 0.15];
+    const GREEN: [f32; 4] = [0.1, 0.8, 0.2, 0.4];
+    const RED: [f32; 4] = [0.9, 0.1, 0.1, 0.8];
+    let kinds: [(&str, [f32; 4], fn(&CellState) -> bool); 3] = [
+        ("unseen", GREY, |state| matches!(state, CellState::Unseen(_))),
+        ("known", GREEN, |state| matches!(state, CellState::Known(_))),
+        ("intruded", RED, |state| matches!(state, CellState::Intruded)),
+    ];
+    let centre = |(cell, _): (usize, &CellState)| {
+        let [column, row] = cells.columns[cell / cells.layers].map(f64::from);
+        let layer = (cell % cells.layers) as f64;
+        let [x, y, z] = cells.origin;
+        [x + (column + 0.5) * cells.side, y + (row + 0.5) * cells.side, z + (layer + 0.5) * cells.layer_height]
+    };
+    let mut markers = Vec::new();
+    for (name, color, is_of) in kinds {
+        let mut marker = SceneMarker::new(MarkerKind::CubeList, name, color);
+        marker.scale = [cells.side, cells.side, cells.layer_height];
+        marker.points = report.cells.iter().enumerate().filter(|(_, state)| is_of(state)).map(centre).collect();
+        markers.extend((!marker.points.is_empty()).then_some(marker));
+    }
+    let frame = match corridor.frame() {
+        CorridorFrame::Robot => &origin.base,
+        CorridorFrame::World => &origin.map,
+    };
+    origin.markers("/presight/corridor", frame, markers)
+}
+
+/// The boxes around intrusions, in the frame of the robot.
+#[cfg(feature = "ros")]
+fn intrusion_markers(report: &Report, origin: &MessageOrigin) -> Record {
+    let boxes = report.intrusions.iter().map(|intrusion| {
+        let mut marker = SceneMarker::new(MarkerKind::Cube, "intrusion", [0.9, 0.1, 0.1, 0.5]);
+        marker.pose.translation = intrusion.extent.center();
+        // A box of one point has no extent, and viewers refuse a scale of 0.
+        marker.scale = (intrusion.extent.max - intrusion.extent.min).max(DVec3::splat(0.01)).to_array();
+        marker
+    });
+    origin.markers("/presight/intrusions", &origin.base, boxes)
 }
 
 /// Draws the cells from above: each place shows the states of its height side by side, and only the intrusion if there

@@ -1,5 +1,5 @@
-//! Writers of predictions, one module per format, and the readers of images and corridors, which need the renderer's
-//! types. This crate depends on the data types, but on no engine.
+//! Writers of predictions, one module per format, ROS 2 messages among them, and the readers of images and corridors,
+//! which need the renderer's types. This crate depends on the data types, but on no engine.
 
 pub mod corridor;
 pub mod costs;
@@ -10,3 +10,5 @@ pub mod pcd;
 pub mod ply;
 mod point_fields;
 pub mod prediction_json;
+#[cfg(feature = "ros")]
+pub mod ros;

@@ -21,6 +21,17 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     Cow::Owned(line)
 }
 
+/// Jaro similarity from which on two words are alike: below it a typing error is less likely than another word. The command
+/// line parser has the same limit.
+const ALIKE: f64 = 0.7;
+
+/// `did you mean "floor"? ` with the name most like a word, or nothing if no name is alike.
+pub fn did_you_mean<'a>(word: &str, names: impl IntoIterator<Item = &'a str>) -> String {
+    let rated = names.into_iter().map(|name| (strsim::jaro(&word.to_lowercase(), &name.to_lowercase()), name));
+    let best = rated.filter(|(alike, _)| *alike > ALIKE).max_by(|a, b| a.0.total_cmp(&b.0));
+    best.map_or(String::new(), |(_, name)| format!("did you mean {}? ", quoted(name)))
+}
+
 /// The first `longest` characters, and `..` if there are more.
 pub fn clipped(text: &str, longest: usize) -> Cow<'_, str> {
     match text.char_indices().nth(longest) {

@@ -117,6 +117,11 @@ impl Request {
         self.regions.as_ref().map_or(Ok(()), BoxOptions::check)
     }
 
+    /// True if the sensor moves while it measures its rays.
+    pub(crate) fn moves(&self, sensor: &Sensor) -> bool {
+        self.motion.as_ref().is_some_and(|m| !m.is_still()) && !sensor.spec().times.is_at_once()
+    }
+
     /// Refuses what needs one pose for all rays.
     fn check_bundles(&self, sensor: &Sensor) -> Result<()> {
         if let Some(ScanMotion::Twist(twist)) = &self.motion {
@@ -124,7 +129,7 @@ impl Request {
         }
         let why = if sensor.has_origins() {
             "the rays of the sensor start at several points"
-        } else if self.motion.as_ref().is_some_and(|m| !m.is_still()) && !sensor.spec().times.is_at_once() {
+        } else if self.moves(sensor) {
             "the sensor moves while it measures"
         } else {
             return Ok(());

@@ -3,6 +3,7 @@
 use super::text::{from_settings, read_settings, toml_from_str};
 use super::{beams, camera_info, sensor_toml};
 use presight_model::error::{Error, Result};
+use presight_model::printable::did_you_mean;
 use presight_model::sensor::{Geometry, PRESETS, RayTable, Sensor, SensorSpec};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -19,7 +20,9 @@ use std::path::{Path, PathBuf};
 /// [`presight_model::ErrorKind::Usage`] if there is no preset of this name; the remedy lists the names.
 pub fn preset(name: &str) -> Result<Sensor> {
     let Some(preset) = PRESETS.iter().find(|p| p.name == name) else {
-        return Err(Error::usage(format!("unknown preset {name:?}"), format!("choose one of {}", preset_names())));
+        let alike = did_you_mean(name, PRESETS.iter().map(|p| p.name));
+        let remedy = format!("{alike}choose one of {}", preset_names());
+        return Err(Error::usage(format!("unknown preset {name:?}"), remedy));
     };
     Sensor::new(sensor_toml::parse(preset.toml, preset.name, None)?)
 }

@@ -37,6 +37,7 @@ use presight_model::environment::{Appearance, Material};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::limits;
+use presight_model::printable::did_you_mean;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -165,7 +166,8 @@ impl Sidecar {
                 known = true;
             }
             if !known {
-                let remedy = "`presight inspect` lists the names; correct or remove it";
+                let alike = did_you_mean(name, materials.iter().map(|m| m.name.as_str()));
+                let remedy = format!("{alike}`presight inspect` lists the names; correct or remove it");
                 faults.note(format!("material {name:?}"), "the scene has no material of this name", remedy);
             }
         }

@@ -1,6 +1,5 @@
 //! A survey of a bag: its topics with counts and times, its tree of frames, and its faults.
 
-use crate::cdr::Cursor;
 use crate::message::{
     CameraInfo, CompressedImage, Header, Image, LaserScan, Message, Odometry, PointCloud2, TFMessage,
 };
@@ -107,7 +106,7 @@ impl Survey {
             of_topic.add_stamp(log_time_ns);
             return Ok(());
         }
-        let header = Header::read(&mut Cursor::new(data)?)?;
+        let header = Header::decode(data)?;
         if of_topic.count == 0 {
             of_topic.frame = clean_frame_id(&header.frame_id).to_owned();
             of_topic.first = Some(data.to_owned());

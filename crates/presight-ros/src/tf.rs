@@ -130,6 +130,11 @@ impl FrameTree {
             .is_some_and(|(up, down)| up.iter().chain(&down).all(|child| self.edges[*child].is_static))
     }
 
+    /// Drops every edge that is not static.
+    pub fn forget_moving(&mut self) {
+        self.edges.retain(|_, edge| edge.is_static);
+    }
+
     /// Drops samples that no lookup at `stamp_ns` or later needs.
     pub fn forget_before(&mut self, stamp_ns: i64) {
         for edge in self.edges.values_mut().filter(|edge| !edge.is_static) {

@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3, Vec3};
 use presight_model::sensor::{Geometry, Sensor};
+use presight_model::statistics::median;
 
 /// Rays of a sensor in its body axes.
 pub struct SensorRays {
@@ -26,7 +27,9 @@ impl SensorRays {
         let body_from_image = sensor.body_from_image();
         let ray = |i: usize| sensor.ray((i % width) as u32, (i / width) as u32).map(|ray| body_from_image * ray);
         let rays: Vec<Vec3> = (0..width * height).map(|i| ray(i).map_or(Vec3::NAN, |r| r.as_vec3())).collect();
-        let is_closed = sensor.columns_of_a_turn().is_some_and(|turn| (turn - width as f64).abs() < 1.5);
+        let is_table = matches!(sensor.spec().geometry, Geometry::Rays(_));
+        let is_turn = sensor.columns_of_a_turn().is_some_and(|turn| (turn - width as f64).abs() < 1.5);
+        let is_closed = is_turn || is_table && height > 1 && is_round(&rays, [width, height]);
         let is_scanner = matches!(sensor.spec().geometry, Geometry::Scanner(_));
         let only_row = (is_scanner && height == 1).then(|| rays[0].z / rays[0].x.hypot(rays[0].y));
         let spacing = (0..rays.len()).map(|i| spacing_at(&rays, [width, height], i, is_closed)).collect();
@@ -39,7 +42,7 @@ impl SensorRays {
             is_closed,
             only_row,
             image_from_body: body_from_image.transpose(),
-            is_table: matches!(sensor.spec().geometry, Geometry::Rays(_)),
+            is_table,
         }
     }
 
@@ -80,6 +83,16 @@ impl SensorRays {
             inside.then(|| row as usize * self.width + column as usize)
         })
     }
+}
+
+/// True if the last ray of the middle row leads on to its first, as in a scan that was moved to one moment while the robot
+/// drove straight on. Between the ends of a turn of a robot that turns there is a gap, or they overlap.
+fn is_round(rays: &[Vec3], [width, height]: [usize; 2]) -> bool {
+    let row = &rays[height / 2 * width..][..width];
+    let step = |pair: &[Vec3]| f64::from(pair[0].distance(pair[1]));
+    let mut steps: Vec<f64> = row.windows(2).map(step).filter(|step| *step > 0.0).collect();
+    // Comparisons with NaN are false.
+    width > 2 && median(&mut steps).is_some_and(|usual| step(&[row[width - 1], row[0]]) < 1.5 * usual)
 }
 
 fn spacing_at(rays: &[Vec3], [width, height]: [usize; 2], i: usize, is_closed: bool) -> [f32; 2] {

@@ -8,7 +8,7 @@ use glam::{DQuat, DVec3};
 use presight_model::environment::Environment;
 use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, Measurement, Motion, OdometryNoise, RangeNoise};
-use presight_model::sensor::Sensor;
+use presight_model::sensor::{RayTimes, Sensor};
 use std::f64::consts::TAU;
 
 /// A range that differs from its neighbour's by more than this fraction is behind an edge.
@@ -51,8 +51,8 @@ pub struct Caster {
     pub drop_outs: f64,
     /// Share of the pixels before a jump that measure something in between.
     pub mixed: f64,
-    /// Seconds from the first column of a scan to the last and one step on.
-    pub turn_s: f64,
+    /// The times at which the rays are measured, whatever the sensor states.
+    pub times: RayTimes,
     /// Deviation of the stamps from the times of the scans, seconds.
     pub jitter: f64,
     /// `None` for a robot without odometry.
@@ -73,7 +73,7 @@ impl Caster {
             random: Random(seed),
             drop_outs,
             mixed,
-            turn_s: 0.0,
+            times: RayTimes::AtOnce,
             jitter: 0.0,
             slip,
         }
@@ -100,7 +100,7 @@ impl Caster {
         self
     }
 
-    /// The frame whose first column is measured at `time`, with the odometry since `before`. `pose` gives the robot's
+    /// The frame with its stamp at `time`, with the odometry since `before`. `pose` gives the robot's
     /// true pose at each time, seconds.
     pub fn frame(&mut self, pose: &dyn Fn(f64) -> Pose, time: f64, before: Option<f64>) -> Frame {
         let jitter = self.random.normal(self.jitter);
@@ -117,7 +117,7 @@ impl Caster {
         let (width, height) = (self.sensor.width(), self.sensor.height());
         let mount = self.sensor.spec().mount;
         let columns: Vec<(Pose, f64)> =
-            (0..width).map(|c| time + self.turn_s * f64::from(c) / f64::from(width)).map(|t| (pose(t), t)).collect();
+            (0..width).map(|c| time + self.times.seconds(c, 0, (width, height))).map(|t| (pose(t), t)).collect();
         let people: Vec<Vec<DVec3>> = columns.iter().map(|(pose, t)| self.people_at(pose, *t)).collect();
         let seen: Vec<Option<(f64, f64)>> = (0..height)
             .flat_map(|r| (0..width).map(move |c| (c, r)))

@@ -17,9 +17,9 @@ use beside::LogBeside;
 use features::{not_sought, not_sought_in_scans};
 use indicatif::ProgressBar;
 use presight::environment::IndexKind;
-#[cfg(feature = "store")]
+#[cfg(any(feature = "ros", feature = "store"))]
 use presight::files::StampedPose;
-use presight::files::{DepthFolder, ImportOptions, LogFrames, Observation, load_sensor};
+use presight::files::{DepthFolder, ImportOptions, LogFrames, Observation, Recorded, load_sensor};
 use presight::localize::{Estimator, Freedom, Phase, Step};
 use presight::measured::Frame;
 use presight::verdict::Verdicts;
@@ -158,6 +158,8 @@ pub struct Sensed<'a> {
     pub grey: Option<&'a Frame>,
     /// What the robot's other sensors measured.
     pub beside: &'a [Frame],
+    /// The message of a bag that holds the frame.
+    pub recorded: Option<&'a Recorded>,
 }
 
 #[cfg_attr(not(feature = "report"), expect(dead_code, reason = "only replays show measurements"))]
@@ -194,36 +196,45 @@ impl Drive {
         resumed: Option<&Resumed>,
         visit: impl FnMut(&Scene, &Sensed<'_>, &Step) -> Result<()>,
     ) -> Result<Followed> {
-        self.check()?;
+        self.check_outputs(&files)?;
         if self.init.is_none() {
             return Err(Error::usage(
                 "--init is missing",
                 "give a pose, `reference` (the log's first pose) or `unknown`",
             ));
         }
-        let beside =
-            ["camera.json", "grey.toml", "odometry.txt", "poses.json", "poses.txt"].map(|name| self.log.join(name));
-        let sensors = [&self.sensor, &self.grey_sensor].into_iter().flatten().map(Path::new);
-        files.check_named([self.log.as_path(), self.map.as_path()].into_iter().chain(sensors))?;
-        files.check_named(self.layers.iter().chain(&beside).map(PathBuf::as_path))?;
-        files.check_named(self.robot.iter().map(|(log, _)| log.as_path()))?;
         let mut log = self.opened()?;
         let followed = self.follow_log(&mut log, files, resumed, visit);
         self.print_notices(&log);
         followed
     }
 
-    /// Reads the log without following it. Calls `visit` with each frame, and with its pose if the log has one. The motion
-    /// during scans is that of a trajectory, if one is given.
+    /// Checks the flags, and that no output is an input.
+    ///
+    /// # Errors
+    /// [`presight::ErrorKind::Usage`] naming the flag or the output.
+    pub fn check_outputs(&self, files: &OutputFiles) -> Result<()> {
+        self.check()?;
+        let beside =
+            ["camera.json", "grey.toml", "odometry.txt", "poses.json", "poses.txt"].map(|name| self.log.join(name));
+        let sensors = [&self.sensor, &self.grey_sensor].into_iter().flatten().map(Path::new);
+        files.check_named([self.log.as_path(), self.map.as_path()].into_iter().chain(sensors))?;
+        files.check_named(files_of_bag(&self.log).iter().map(PathBuf::as_path))?;
+        files.check_named(self.layers.iter().chain(&beside).map(PathBuf::as_path))?;
+        files.check_named(self.robot.iter().map(|(log, _)| log.as_path()))
+    }
+
+    /// Reads the log without following it. Calls `visit` with each frame, and with its pose and message if the log has
+    /// them. The motion during scans is that of a trajectory, if one is given.
     ///
     /// # Errors
     /// Errors from reading the log, map and sensor, and from `visit`.
-    #[cfg(feature = "store")]
+    #[cfg(any(feature = "ros", feature = "store"))]
     pub fn read(
         &self,
         scene: &Scene,
         trajectory: Option<&[StampedPose]>,
-        mut visit: impl FnMut(&Scene, &Frame, Option<RobotPose>) -> Result<()>,
+        mut visit: impl FnMut(&Scene, &Observation) -> Result<()>,
     ) -> Result<()> {
         self.check()?;
         let mut log = self.opened()?;
@@ -231,8 +242,7 @@ impl Drive {
             log = log.moving_along(poses).map_err(|e| e.at("--poses"))?;
         }
         for observation in self.observations(&mut log, None) {
-            let Observation { frame, reference } = observation?;
-            visit(scene, &frame, reference)?;
+            visit(scene, &observation?)?;
         }
         if trajectory.is_some() {
             self.print_notices(&log);
@@ -318,7 +328,7 @@ impl Drive {
         files.check_scene(&scene.files)?;
         let mut followed = Followed::default();
         for observation in std::iter::once(Ok(first)).chain(log) {
-            let Observation { frame, reference } = observation?;
+            let Observation { frame, reference, recorded } = observation?;
             let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
             let others = logs_beside.iter_mut().filter_map(|log| log.next_at(frame.stamp).transpose());
             let others = others.map(|other| other.and_then(|o| self.thinned(o))).map(|o| o.map(|o| o.frame));
@@ -341,8 +351,9 @@ impl Drive {
                 (phase, _) => phase.name(),
             });
             progress.inc(1);
+            let recorded = recorded.as_deref();
             others.iter_mut().for_each(|other| *other = step.moving(other).into_owned());
-            let sensed = Sensed { frame: &step.moving(&frame), grey: grey.as_ref(), beside: &others };
+            let sensed = Sensed { frame: &step.moving(&frame), grey: grey.as_ref(), beside: &others, recorded };
             visit(&scene, &sensed, &step)?;
             followed.features.push(FeatureCounts::of(&step.estimate.findings));
             step.estimate.findings.clear();
@@ -413,6 +424,15 @@ impl Drive {
 fn watching(progress: &ProgressBar) -> impl FnMut(usize, usize) + use<> {
     let (progress, since) = (progress.clone(), Instant::now());
     move |done, all| progress.set_message(super::bar::looking_round(done, all, since.elapsed()))
+}
+
+/// The files of a log that is a folder of a ROS 2 bag.
+fn files_of_bag(log: &Path) -> Vec<PathBuf> {
+    if !log.is_dir() || log.join("depth").exists() {
+        return Vec::new();
+    }
+    let entries = std::fs::read_dir(log).into_iter().flatten().flatten().map(|entry| entry.path());
+    entries.filter(|path| path.extension().is_some_and(|e| e == "mcap" || e == "db3")).collect()
 }
 
 /// Pixels of each verdict of a step that still has its verdict images.

@@ -1,5 +1,7 @@
 //! `presight predict`: the images of a sensor at one or more poses.
 
+#[cfg(feature = "ros")]
+mod bag;
 mod files;
 mod one;
 mod poses;
@@ -12,6 +14,8 @@ use crate::file_names::FileNames;
 use crate::frame_args::FrameArgs;
 use crate::layers::{LayerArgs, NamedRequest};
 use crate::motion_args::{MotionArgs, ScanMotions, meaning_of};
+#[cfg(feature = "ros")]
+use crate::output_bag::OutputBag;
 use crate::outputs::OutputFiles;
 use crate::pose::{PoseArgs, PoseOf};
 use crate::pose_series::Poses;
@@ -49,6 +53,9 @@ const EXAMPLES: &str = "Examples:
   Depth images along a trajectory as one NumPy array of (poses, rows, columns), and a preview of each:
     presight predict hall.glb --sensor realsense-d435 --poses drive.tum \\
       --outputs depth_z --npy depth.npy --png 'drive/{i:06}.png'
+
+  Scans along a trajectory as a ROS 2 bag for RViz and Foxglove:
+    presight predict hall.glb --sensor laser-scanner --poses drive.tum --mcap drive.mcap
 
   A lidar on a robot that drives at 1.5 m/s and turns by 60 degrees/s, and its points put to the end of the scan:
     presight predict hall.glb --sensor turning.toml --pose 0,0,1,0,0,0 --twist 1.5,0,0,0,0,60 \\
@@ -146,6 +153,20 @@ pub struct Args {
     #[arg(long, value_name = "FILE.png")]
     depth_png: Option<PathBuf>,
 
+    /// Write a ROS 2 bag: /tf, /tf_static, and below the name of the sensor scan and points, or depth and camera_info
+    ///
+    /// A level scanner of one row gets LaserScan and PointCloud2, other scanners organized PointCloud2, with a field
+    /// for each requested image: echo (as intensity), object_id and polygon_id; cameras get 32FC1 and, for requested
+    /// ids, 32SC1. `presight replay --given` reads the bag back.
+    #[cfg(feature = "ros")]
+    #[arg(long, value_name = "OUT.mcap", requires = "poses")]
+    mcap: Option<PathBuf>,
+
+    /// The frame of the poses in the bag
+    #[cfg(feature = "ros")]
+    #[arg(long = "frame", value_name = "FRAME", default_value = "map", requires = "mcap")]
+    world_frame: String,
+
     /// Write the visible points as a point cloud; a device or pipe whose name has no ending gets PLY
     ///
     /// Points have a field for each requested image: range, echo (as intensity), object_id and polygon_id. They have
@@ -218,6 +239,8 @@ pub struct Job {
     pub poses: Poses,
     pub sensors: Vec<Sensor>,
     pub files: OutputFiles,
+    #[cfg(feature = "ros")]
+    pub bag: Option<OutputBag>,
     pub names: FileNames,
     pub import: ImportOptions,
     pub options: Options,
@@ -237,6 +260,8 @@ impl Args {
         names.add_to(&mut files, &poses.stamps(), &sensors)?;
         files.add("--stats", self.stats.as_deref(), &["json"])?;
         files.add("--costs", self.deadline.costs.as_deref(), &["json"])?;
+        #[cfg(feature = "ros")]
+        let bag = OutputBag::of("--mcap", self.mcap.as_deref(), &mut files)?;
         files.check_named(self.inputs())?;
         sensors.iter().try_for_each(|sensor| self.virtual_sensor.check_sensor(sensor))?;
         sensors.iter().try_for_each(|sensor| self.check_picture(sensor))?;
@@ -246,6 +271,8 @@ impl Args {
             poses,
             sensors,
             files,
+            #[cfg(feature = "ros")]
+            bag,
             names,
             import,
             options: self.engine.options(threads).with_reuse_visible(self.reuse_visible).with_way(self.way.way()),
@@ -372,6 +399,14 @@ impl Args {
         open_scene_without(&self.scene, import, self.index.tuned(), &self.exclude)
     }
 
+    /// Returns true if a ROS 2 bag is written.
+    pub fn writes_bag(&self) -> bool {
+        #[cfg(feature = "ros")]
+        return self.mcap.is_some();
+        #[cfg(not(feature = "ros"))]
+        false
+    }
+
     /// Returns true if EXR files are written.
     pub fn writes_exr(&self) -> bool {
         self.out.is_some()
@@ -407,8 +442,11 @@ impl Args {
         }
         wanted.extend(self.layers.needs(self.asked()));
         wanted.extend(self.virtual_sensor.outputs().iter());
-        if self.points.is_some() {
+        if self.points.is_some() || self.writes_bag() && !sensor.is_camera() {
             wanted.push(Output::Range);
+        }
+        if self.writes_bag() && sensor.is_camera() {
+            wanted.push(Output::DepthZ);
         }
         if wanted.contains(&Output::DepthZ) && !sensor.is_camera() {
             let what = format!("depth_z: sensor {:?} is not a camera and has no optical axis", sensor.spec().name);
@@ -442,7 +480,9 @@ impl Args {
             picture: u64::from(picture.0) * u64::from(picture.1),
             depth_png: self.depth_png.is_some(),
             // Bytes per point: a position in f64, and a normal in f32.
-            points: self.points.as_ref().map_or(0, |_| 24 + if self.normals() { 12 } else { 0 }),
+            // A point of a bag has up to 30 bytes beside its position, and is encoded once more.
+            points: self.points.as_ref().map_or(0, |_| 24 + if self.normals() { 12 } else { 0 })
+                + if self.writes_bag() { 84 } else { 0 },
             reading: self.virtual_sensor.bytes_by_pixel(self.layers.writes_something()),
         }
     }
@@ -460,7 +500,7 @@ impl Args {
         let files = [&self.out, &self.png, &self.depth_png, &self.points, &self.stats];
         let tells = self.layers.writes_something() || self.virtual_sensor.task.is_some();
         let arrays = self.npy.is_some() || self.rays.is_some();
-        self.explain || tells || arrays || files.iter().any(|f| f.is_some())
+        self.explain || tells || arrays || self.writes_bag() || files.iter().any(|f| f.is_some())
     }
 }
 

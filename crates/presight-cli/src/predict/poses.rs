@@ -1,10 +1,14 @@
 //! `presight predict --poses` and `--robot`: many predictions in one world, with one predictor.
 
+#[cfg(feature = "ros")]
+use super::bag;
 use super::files::{Shown, attributes, write_files};
 use super::{Args, Job};
 use crate::file_names::{FileNames, Paths};
 use crate::layers::Layers;
 use crate::motion_args::ScanMotions;
+#[cfg(feature = "ros")]
+use crate::output_bag::OutputBag;
 use crate::overlap::{make_and_write, make_then_write};
 use crate::pose_series::{NamedPose, Poses, no_poses};
 use crate::series::SeriesProgress;
@@ -47,6 +51,8 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     let poses = std::mem::replace(&mut job.poses, Poses::Given(Vec::new()));
     let series = Series { args, scene: &scene, names: &job.names };
     let (mut progress, mut stacks) = series.progress(&setups, poses.given())?;
+    #[cfg(feature = "ros")]
+    let mut bag = job.bag.take();
     let bar = bar::bar(poses.given().len() as u64);
     let (mut all, mut incomplete, mut empty) = (0, 0, 0);
     let first = progress.as_ref().map_or(0, SeriesProgress::next);
@@ -75,6 +81,13 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
         let stacks = stacks.iter_mut().map(Some).chain(std::iter::repeat_with(|| None));
         let Frames { index, stamp, frames } = made;
         frames.iter().zip(stacks).try_for_each(|(frame, stacks)| series.write(frame, stacks, (*index, stamp)))?;
+        #[cfg(feature = "ros")]
+        if let Some(output) = &mut bag {
+            for (k, frame) in frames.iter().enumerate() {
+                // The robot has one pose, whatever its sensors.
+                output.add(bag::records(args, &frame.prediction, stamp, (*index == 0, k == 0))?)?;
+            }
+        }
         bar.set_position(*index as u64 + 1);
         progress.as_mut().map_or(Ok(()), |progress| progress.append(*index, &format!("{index}\n")))
     };
@@ -85,6 +98,8 @@ pub fn run(args: &Args, mut job: Job) -> Result<CommandOutcome> {
     }
     args.deadline().write_costs(&predictor)?;
     stacks.into_iter().flatten().try_for_each(|(_, stack)| stack.finish())?;
+    #[cfg(feature = "ros")]
+    bag.iter_mut().try_for_each(OutputBag::finish)?;
     progress.map_or(Ok(()), SeriesProgress::remove)?;
     bar.finish_and_clear();
     Ok(CommandOutcome::Done)
@@ -175,6 +190,8 @@ impl Series<'_> {
             stacks.push(of_setup);
         }
         let stacked = self.names.are_stacked();
+        // A bag holds all poses, and is written anew.
+        let kept = kept && !self.args.writes_bag();
         let are_there = |setup: &Setup, i| {
             let paths = || self.paths(&setup.sensor, i, &poses[i].0);
             until.is_some_and(|until| paths().is_ok_and(|paths| paths.are_there(stacked, until)))

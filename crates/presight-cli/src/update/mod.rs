@@ -1,18 +1,22 @@
 //! `presight update`: differences between site and model, as changes.
 
+#[cfg(feature = "ros")]
+mod bag;
 mod known;
 mod looks;
 mod page;
 mod store_of;
 
-use super::drive::Drive;
+#[cfg(feature = "ros")]
+use super::compared_bag::ComparedBag;
+use super::drive::{Drive, Sensed};
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, print};
 use glam::DVec3;
 use known::KnownArgs;
 use looks::{Questions, look_from};
 use page::{FrameKey, Page};
-use presight::files::{self, StampedPose};
+use presight::files::{self, Observation, StampedPose};
 use presight::localize::Phase;
 #[cfg(feature = "report")]
 use presight::localize::Step;
@@ -26,6 +30,21 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use store_of::{Claim, apply, version_of};
+
+/// This build writes no bags.
+#[cfg(not(feature = "ros"))]
+enum ComparedBag {}
+
+#[cfg(not(feature = "ros"))]
+impl ComparedBag {
+    fn step(&mut self, _: &Scene, _: &Sensed<'_>, _: &presight::localize::Step) -> Result<()> {
+        match *self {}
+    }
+
+    fn given(&mut self, _: &Scene, _: &Sensed<'_>, _: &PoseEstimate, _: f64) -> Result<()> {
+        match *self {}
+    }
+}
 
 const EXAMPLES: &str = "Examples:
   PlannedView, then apply:
@@ -75,6 +94,14 @@ pub struct Args {
     /// Write changes.jsonl, index.html and its pictures into this folder
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+
+    /// Write a ROS 2 bag: what `replay --mcap` writes, and each finding on /presight/findings
+    ///
+    /// Boxes are red around what is gone, blue around what moved, with an arrow, green around what is new, and yellow
+    /// around what is doubtful.
+    #[cfg(feature = "ros")]
+    #[arg(long, value_name = "OUT.mcap")]
+    mcap: Option<PathBuf>,
 
     /// Apply the changes to the store
     #[arg(long)]
@@ -145,13 +172,19 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let notice = format!("evidence on {left_out} objects is left out, because they moved or are gone since");
         print::notices(&(left_out > 0).then_some(notice));
     }
-    let seen = learn(&drives, &scene, &mut learner, known.as_ref())?;
+    #[cfg(feature = "ros")]
+    let mut compared = bag::open(args)?;
+    #[cfg(not(feature = "ros"))]
+    let mut compared = None;
+    let seen = learn(&drives, &scene, &mut learner, known.as_ref(), compared.as_mut())?;
     let stamp = seen.last;
     create_folder(&args.out)?;
     let mut findings = learner.findings(&scene.world);
     recognizers.improve(&mut learner, &scene.world, &mut findings);
     let utc = args.time.unwrap_or(0.0);
     let utc = if stamp > 1e9 { 0.0 } else { utc };
+    #[cfg(feature = "ros")]
+    compared.as_mut().map_or(Ok(()), |compared| bag::conclude(compared, &scene, &findings))?;
     let changes = learner.changes(&findings, &scene.world, (&version.base, utc), &policy)?;
     let changes_file = args.out.join("changes.jsonl");
     write_changes(&changes_file, &changes)?;
@@ -224,17 +257,23 @@ impl Seen {
 }
 
 /// Learns from all drives.
-fn learn(drives: &[Drive], scene: &Scene, learner: &mut Learner, known: Option<&Known>) -> Result<Seen> {
+fn learn(
+    drives: &[Drive],
+    scene: &Scene,
+    learner: &mut Learner,
+    known: Option<&Known>,
+    mut compared: Option<&mut ComparedBag>,
+) -> Result<Seen> {
     let mut seen = Seen::default();
     for drive in drives {
         match known {
             Some((poses, covariance)) => {
                 for drive in drive.each_log() {
-                    follow_known(&drive, scene, learner, (poses, covariance), &mut seen)?;
+                    follow_known(&drive, scene, learner, (poses, covariance), &mut seen, compared.as_deref_mut())?;
                     learner.end_log();
                 }
             }
-            None => follow(drive, learner, &mut seen)?,
+            None => follow(drive, learner, &mut seen, compared.as_deref_mut())?,
         }
         learner.end_drive();
         seen.drive += 1;
@@ -265,6 +304,8 @@ fn options(args: &Args) -> Result<LearnOptions> {
 fn check_files(args: &Args, drives: &[Drive]) -> Result<()> {
     let mut files = OutputFiles::default();
     files.add_folder(&args.out, &["index.html", "changes.jsonl", "doubts.jsonl"])?;
+    #[cfg(feature = "ros")]
+    files.add("--mcap", args.mcap.as_deref(), &["mcap"])?;
     args.evidence.iter().try_for_each(|path| files.add_any(path))?;
     let logs: Vec<PathBuf> = drives.iter().flat_map(Drive::each_log).map(|drive| drive.log).collect();
     let others = [args.poses.as_deref(), args.robot.as_deref()].into_iter().flatten();
@@ -281,10 +322,11 @@ fn known_poses(args: &Args) -> Result<Option<Known>> {
 }
 
 /// Learns from a drive that the localizer follows.
-fn follow(drive: &Drive, learner: &mut Learner, seen: &mut Seen) -> Result<()> {
+fn follow(drive: &Drive, learner: &mut Learner, seen: &mut Seen, mut compared: Option<&mut ComparedBag>) -> Result<()> {
     let mut is_tracked = false;
     drive.follow(OutputFiles::default(), None, |scene, sensed, step| {
         seen.last = step.stamp;
+        compared.iter_mut().try_for_each(|bag| bag.step(scene, sensed, step))?;
         is_tracked |= step.phase == Phase::Tracking;
         let frames: Vec<&Frame> = std::iter::once(sensed.frame).chain(sensed.grey).chain(sensed.beside).collect();
         frames.iter().for_each(|frame| seen.add(frame));
@@ -308,10 +350,11 @@ fn follow_known(
     learner: &mut Learner,
     (poses, covariance): (&[StampedPose], &PoseCovariance<InWorld>),
     seen: &mut Seen,
+    mut compared: Option<&mut ComparedBag>,
 ) -> Result<()> {
     let (mut without, mut with) = (0, 0);
     let mut nearest = (f64::INFINITY, 0.0, 0.0);
-    drive.read(scene, Some(poses), |scene, frame: &Frame, _| {
+    drive.read(scene, Some(poses), |scene, Observation { frame, recorded, .. }| {
         seen.last = frame.stamp;
         seen.add(frame);
         let at = poses.iter().min_by(|a, b| (a.time - frame.stamp).abs().total_cmp(&(b.time - frame.stamp).abs()));
@@ -321,7 +364,11 @@ fn follow_known(
         match at.filter(|stamped| (stamped.time - frame.stamp).abs() < SAME_TIME_S) {
             Some(at) => {
                 with += 1;
-                learner.observe_at(&scene.world, &[frame], &PoseEstimate::new(RobotPose::new(at.pose), *covariance))
+                let robot = PoseEstimate::new(RobotPose::new(at.pose), *covariance);
+                let sensed = Sensed { frame, grey: None, beside: &[], recorded: recorded.as_deref() };
+                let sigma = drive.options(frame.sensor()).model_sigma;
+                compared.iter_mut().try_for_each(|bag| bag.given(scene, &sensed, &robot, sigma))?;
+                learner.observe_at(&scene.world, &[frame], &robot)
             }
             None => {
                 without += 1;

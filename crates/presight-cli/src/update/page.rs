@@ -4,6 +4,7 @@
 use super::looks::look_from;
 use super::{Args, Drive, describe};
 use glam::DVec3;
+use presight::files::Observation;
 use presight::measured::{Frame, ScanMotion};
 use presight::tools::write_atomically;
 use presight::update::{BestView, DoubtfulObject, Finding, FindingKind, PlannedView, SiteFindings};
@@ -98,7 +99,7 @@ impl Page<'_> {
         for (number, drive) in self.drives.iter().enumerate().filter(|(n, _)| wanted.iter().any(|key| key.drive == *n))
         {
             for drive in drive.each_log() {
-                drive.read(self.scene, None, |_, frame, _| {
+                drive.read(self.scene, None, |_, Observation { frame, .. }| {
                     let key = FrameKey::of(number, frame);
                     if wanted.contains(&key) {
                         let moving = self.motions.get(&key).map(|m| frame.clone().with_scan_motion(m.clone()));
@@ -161,7 +162,7 @@ impl Page<'_> {
             if wanted.is_empty() {
                 break;
             }
-            drive.read(self.scene, None, |_, frame, _| {
+            drive.read(self.scene, None, |_, Observation { frame, .. }| {
                 let sensor = frame.sensor();
                 if wanted.remove(&*sensor.spec().name) {
                     sensors.insert(sensor.spec().name.clone(), sensor.clone());

@@ -3,6 +3,8 @@
 mod bad_input;
 #[cfg(feature = "ros")]
 mod bags;
+#[cfg(all(feature = "ros", feature = "report"))]
+mod bags_out;
 mod cameras;
 mod cases_scanners;
 mod deadline;
@@ -20,6 +22,7 @@ mod localize;
 #[cfg(target_os = "linux")]
 mod memory;
 mod messages;
+mod motion;
 #[cfg(unix)]
 mod outputs;
 #[cfg(unix)]

@@ -1,6 +1,9 @@
-//! Reads our files with the libraries that users have: NumPy, OpenEXR, Open3D, trimesh and a reader of PCL's format.
+//! Reads our files with the libraries that users have: NumPy, OpenEXR, Open3D, trimesh, a reader of PCL's
+//! format, and two of ROS 2 bags.
 #![cfg(unix)]
 
+#[cfg(feature = "ros")]
+mod bags;
 mod clouds;
 mod guides;
 mod upright;
@@ -46,7 +49,7 @@ fn environment() -> Result<PathBuf, String> {
     does("cannot make an environment", Command::new("python3").args(["-m", "venv"]).arg(&venv))?;
     let pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-r"];
     does("cannot install the packages that read our files", Command::new(&python).args(pip).arg(&list))?;
-    let load = ["-c", "import numpy, open3d, OpenEXR, pypcd4, trimesh"];
+    let load = ["-c", "import numpy, open3d, OpenEXR, pypcd4, trimesh, rosbags, mcap_ros2"];
     does("cannot load them (apt-get install libusb-1.0-0 libgomp1)", Command::new(&python).args(load))?;
     std::fs::write(&ready, text).map_err(|e| e.to_string())?;
     Ok(python)

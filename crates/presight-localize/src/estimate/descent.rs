@@ -3,13 +3,14 @@
 use super::image::ImageSource;
 use super::normal::{Freedom, Normal};
 use super::range::RangeSource;
-use super::run::{Expectation, FrameMeasurement, Minimum, Run};
+use super::run::{Expectation, FrameMeasurement, Minimum, Run, Start};
+use super::scan_twist::{self, ScanStep};
 use super::solve::length;
 use super::{Gate, Kernel, Residuals};
 use crate::motion::{Vector, motion_between, moved};
 use crate::verdict::{ExpectedImage, body_from_image};
 use presight_model::geometry::Pose;
-use presight_model::matrix::quadratic;
+use presight_model::matrix::{apply, quadratic};
 use std::sync::Arc;
 
 /// Points that the wide search looks at.
@@ -64,14 +65,18 @@ pub(super) const JUDGE: Schedule = Schedule { points: (SEARCH_POINTS, SEARCH_POI
 pub(super) fn descend(
     run: &Run<'_>,
     expected: &Arc<Expectation>,
-    start: Pose,
+    start: impl Into<Start>,
     schedule: &Schedule,
     freedom: Freedom,
     known: impl Fn(&Pose) -> bool,
 ) -> Minimum {
     let sources = sources(run, &expected.images);
     let images = images(run, expected);
-    let mut end = Minimum { pose: start, expected: expected.clone(), normal: Normal::default(), spread: 1.0 };
+    let Start { pose, twist } = start.into();
+    let mut end = Minimum { pose, expected: expected.clone(), normal: Normal::default(), spread: 1.0, twist };
+    // How late the latest point is, seconds.
+    let latest = run.measured.iter().flat_map(|m| &m.points).fold(0.0f32, |most, p| most.max(p.late.abs()));
+    let latest = if run.twist_prior.is_some() { f64::from(latest) } else { 0.0 };
     let (mut factor, mut rests) = (schedule.first, false);
     // Where few points are all there are, they are looked at at once.
     let mut few = if run.measured.iter().all(|m| m.points.len() <= schedule.points.0) { 0 } else { FEW };
@@ -97,7 +102,12 @@ pub(super) fn descend(
         }
         let mut normal = Normal::default();
         for (source, matches) in sources.iter().zip(&mut matches) {
-            normal.add(&source.linearize_keeping(&end.pose, &gate, matches));
+            normal.add(&source.linearize_keeping(
+                &end.pose,
+                run.twist_prior.as_ref().map(|_| &end.twist),
+                &gate,
+                matches,
+            ));
         }
         images.iter().for_each(|source| normal.add(&source.linearize(&end.pose, &gate)));
         end.spread = (1.4826 * normal.spread).clamp(1.0, 3.0);
@@ -105,8 +115,11 @@ pub(super) fn descend(
         if last && !rests {
             break;
         }
-        let step = step(&end.normal, run, &end.pose, freedom);
+        let (step, twist) = step(&end.normal, run, &end, freedom);
         end.pose = moved(&end.pose, &step);
+        (0..6).for_each(|i| end.twist[i] += twist[i]);
+        // The way of the latest point.
+        let step: Vector = std::array::from_fn(|i| step[i].abs() + latest * twist[i].abs());
         if last {
             break;
         }
@@ -163,10 +176,18 @@ fn sources<'a>(run: &'a Run<'_>, expected: &'a [ExpectedImage]) -> Vec<RangeSour
     expected.iter().zip(&run.measured).map(source).collect()
 }
 
-/// The Gauss-Newton step, with the prior.
-fn step(normal: &Normal, run: &Run<'_>, pose: &Pose, freedom: Freedom) -> Vector {
-    let off = motion_between(&run.prior.world_from_robot, pose);
-    normal.equations().step(&run.prior_information, &off, freedom.axes()).0
+/// The Gauss-Newton step of the pose, with the prior, and of the twist during the scan if it is estimated.
+fn step(normal: &Normal, run: &Run<'_>, at: &Minimum, freedom: Freedom) -> (Vector, Vector) {
+    let off = motion_between(&run.prior.world_from_robot, &at.pose);
+    match &run.twist_prior {
+        Some(known) => {
+            let pull = apply(&run.prior_information, &off);
+            let ScanStep { pose, twist } =
+                scan_twist::step(normal, (&run.prior_information, &pull), (known, &at.twist), freedom);
+            (pose, twist)
+        }
+        None => (normal.equations().step(&run.prior_information, &off, freedom.axes()).0, [0.0; 6]),
+    }
 }
 
 /// True if a prediction serves for estimates at a pose: it shows what is seen from there but for a part of a pixel. What is found of

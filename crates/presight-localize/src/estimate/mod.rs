@@ -17,6 +17,7 @@ mod prior;
 mod range;
 mod reflectors;
 mod run;
+mod scan_twist;
 mod solve;
 mod starts;
 
@@ -28,6 +29,8 @@ pub use image::{ImageSource, SeenPoint, SeenSegment};
 pub use normal::{CommonError, Freedom, GroupSum, Normal};
 pub use options::EstimateOptions;
 pub use range::{MeasuredPoint, RangeSource, measured_points};
+pub use scan_twist::LateSums;
+pub(crate) use scan_twist::{ScanError, ScanTwist};
 pub use solve::Estimator;
 pub use starts::drawn;
 

@@ -2,6 +2,7 @@
 
 use super::Kernel;
 use super::deviation::SeenDeviation;
+use super::scan_twist::LateSums;
 use crate::motion::{NormalEquations, Vector};
 use presight_model::matrix::{Matrix, add_to};
 use std::collections::BTreeMap;
@@ -17,8 +18,10 @@ pub enum CommonError {
     Edge(u32),
     /// How far a point or a fiducial is from where the model has it, by the number of the feature; three numbers, world axes.
     Place(u32),
-    /// The error of the robot's twist while a scan turned; six numbers, metres and radians per second, world axes.
-    Turn,
+    /// The error of the robot's mean twist during a scan; six numbers, metres and radians per second, world axes.
+    Twist,
+    /// The change of this twist; six numbers, metres and radians per square second, world axes.
+    Acceleration,
 }
 
 /// What residuals e with weights w and Jacobians J say about a motion of the robot. The motion `(t, r)` takes a point x of the
@@ -43,6 +46,8 @@ pub struct Normal {
     pub spread: f64,
     /// What residuals of ranges say about the deviation of surfaces; only with the parts of a covariance.
     pub deviation: SeenDeviation,
+    /// What residuals say of the twist during a scan.
+    pub late: LateSums,
     /// What residuals with a shared error add up to.
     pub groups: BTreeMap<CommonError, GroupSum>,
 }
@@ -52,6 +57,8 @@ pub struct Normal {
 pub struct GroupSum {
     /// Sum of w J g', g the derivative of e by the shared error; columns past the error's own numbers are 0.
     pub pull: Matrix,
+    /// Sum of w l J g', with l the seconds by which a point was measured late.
+    pub late_pull: Matrix,
     /// Sum of w.
     pub weight: f64,
     /// Sum of w e, metres times weight.
@@ -64,6 +71,7 @@ impl GroupSum {
     /// Adds the sums of another part of the residuals.
     pub fn add(&mut self, other: &Self) {
         add_to(&mut self.pull, &other.pull);
+        add_to(&mut self.late_pull, &other.late_pull);
         self.weight += other.weight;
         self.residual += other.residual;
         self.variance += other.variance;
@@ -107,6 +115,7 @@ impl Normal {
         self.compared += other.compared;
         self.explained += other.explained;
         self.deviation.add(&other.deviation);
+        self.late.add(&other.late);
         for (shared, sum) in &other.groups {
             self.groups.entry(*shared).or_default().add(sum);
         }

@@ -6,10 +6,12 @@
 
 use super::deviation::{LEAST, SeenDeviation, WITHIN};
 use super::normal::{CommonError, GroupSum, Normal};
+use super::scan_twist::LateSums;
 use super::{Gate, Kernel, Residuals};
+use crate::motion::Vector;
 use crate::verdict::{ExpectedImage, ExpectedPixel, LANES, ObjectError, body_from_image};
 use glam::{DAffine3, DVec3, Vec3};
-use presight_model::geometry::Pose;
+use presight_model::geometry::{Pose, Twist};
 use presight_model::matrix::{Matrix, add_to, apply, product, sandwich, turn};
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::statistics::upper_median;
@@ -129,18 +131,8 @@ struct Sum {
     others: usize,
     normalized: Vec<f32>,
     deviation: SeenDeviation,
+    late: LateSums,
     groups: HashMap<CommonError, GroupSum>,
-}
-
-impl Sum {
-    /// Adds what a point says of the twist's error, which moves it for the time between it and the middle of the scan's turn. `weight` is
-    /// the point's, times this time in seconds.
-    fn add_turn(&mut self, weight: f64, j: &[f64; 6]) {
-        let turn = self.groups.entry(CommonError::Turn).or_default();
-        for a in 0..6 {
-            (0..6).for_each(|b| turn.pull[a][b] += weight * j[a] * j[b]);
-        }
-    }
 }
 
 impl Default for Sum {
@@ -155,6 +147,7 @@ impl Default for Sum {
             others: 0,
             normalized: Vec::new(),
             deviation: SeenDeviation::default(),
+            late: LateSums::default(),
             groups: HashMap::new(),
         }
     }
@@ -295,7 +288,7 @@ impl<'a> RangeSource<'a> {
     /// The expected pixel that a point is compared with; [`NOWHERE`] without one.
     #[inline(always)]
     fn matched(&self, p: &MeasuredPoint, moved: &FramePoses, gate: &Gate) -> u32 {
-        let q = moved.expected_from_now.transform_point3(p.point.as_dvec3());
+        let q = moved.place(p);
         let m = moved.expected_from_now.transform_vector3(p.normal.as_dvec3());
         let range = f64::from(p.point.length());
         // Once outliers have no weight, what the point's own ray should meet comes first: of surfaces that are no farther apart than noise is
@@ -323,7 +316,7 @@ impl<'a> RangeSource<'a> {
     /// Adds what a point says that is compared with the pixel `at`.
     #[inline(always)]
     fn add_point(&self, sum: &mut Sum, p: &MeasuredPoint, at: u32, moved: &FramePoses, gate: &Gate) {
-        let q = moved.expected_from_now.transform_point3(p.point.as_dvec3());
+        let q = moved.place(p);
         let range = f64::from(p.point.length());
         let reach = gate.translation + gate.rotation * range;
         let (su, sv) = self.expected.spacing;
@@ -377,6 +370,10 @@ impl<'a> RangeSource<'a> {
                 sum.information[a][b] += w * j[a] * j[b];
             }
         }
+        let late = f64::from(p.late);
+        if late != 0.0 && (gate.finally || moved.twist.is_some()) {
+            sum.late.add_point((w, w * weight, late), &j, e);
+        }
         if gate.finally {
             for a in 0..6 {
                 for b in a..6 {
@@ -390,21 +387,20 @@ impl<'a> RangeSource<'a> {
                     let g = ObjectError::gradient(*origin, q, normal);
                     for a in 0..6 {
                         (0..6).for_each(|b| group.pull[a][b] -= w * j[a] * g[b]);
+                        (0..6).for_each(|b| group.late_pull[a][b] -= w * late * j[a] * g[b]);
                     }
                     group
                 }
                 None => {
                     let group = sum.groups.entry(CommonError::Offset(pixel.group)).or_default();
                     (0..6).for_each(|a| group.pull[a][0] -= w * j[a]);
+                    (0..6).for_each(|a| group.late_pull[a][0] -= w * late * j[a]);
                     group
                 }
             };
             group.weight += w;
             group.residual += w * e;
             group.variance += w * weight;
-            if p.late != 0.0 {
-                sum.add_turn(w * f64::from(p.late), &j);
-            }
         }
     }
 }
@@ -449,18 +445,39 @@ struct FramePoses {
     robot: DVec3,
     /// Of the objects whose errors are stored; only where they are asked for.
     origins: BTreeMap<u32, DVec3>,
+    /// The correction of the twist during the scan, if it is estimated: metres and radians per second.
+    twist: Option<Twist>,
+}
+
+impl FramePoses {
+    /// Where a point was when it was measured.
+    #[inline(always)]
+    fn place(&self, p: &MeasuredPoint) -> DVec3 {
+        let q = self.expected_from_now.transform_point3(p.point.as_dvec3());
+        match &self.twist {
+            Some(twist) => q + f64::from(p.late) * (twist.linear + twist.angular.cross(q - self.robot)),
+            None => q,
+        }
+    }
 }
 
 impl Residuals for RangeSource<'_> {
     fn linearize(&self, world_from_robot: &Pose, gate: &Gate) -> Normal {
-        self.linearize_keeping(world_from_robot, gate, &mut Vec::new())
+        self.linearize_keeping(world_from_robot, None, gate, &mut Vec::new())
     }
 }
 
 impl RangeSource<'_> {
     /// [`Residuals::linearize`] with the pixels that the points were compared with before, in the order of the points that are
-    /// looked at; they are looked for if there are none.
-    pub(super) fn linearize_keeping(&self, world_from_robot: &Pose, gate: &Gate, matches: &mut Vec<u32>) -> Normal {
+    /// looked at; they are looked for if there are none. `twist` is the correction of the twist during the scan, world axes, if
+    /// it is estimated.
+    pub(super) fn linearize_keeping(
+        &self,
+        world_from_robot: &Pose,
+        twist: Option<&Vector>,
+        gate: &Gate,
+        matches: &mut Vec<u32>,
+    ) -> Normal {
         let expected_from_world = self.expected.world_from_image.inverse();
         let now = expected_from_world * *world_from_robot * self.robot_from_image;
         let asked = self.expected.errors.iter().filter(|_| gate.finally);
@@ -469,6 +486,11 @@ impl RangeSource<'_> {
             expected_from_now: now.to_affine(),
             centre: now.translation,
             robot: expected_from_world.transform_point(world_from_robot.translation),
+            twist: twist.map(|twist| {
+                let [x, y, z, rx, ry, rz] = *twist;
+                let turned = |v| expected_from_world.rotation * v;
+                Twist::new(turned(DVec3::new(x, y, z)), turned(DVec3::new(rx, ry, rz)))
+            }),
         };
         let step = self.points.len().div_ceil(gate.points).max(1);
         let count = self.points.len().div_ceil(step);
@@ -511,6 +533,7 @@ impl RangeSource<'_> {
             total.explained += sum.explained;
             total.measured -= sum.others;
             total.deviation.add(&sum.deviation);
+            total.late.add(&sum.late);
             normalized.extend(sum.normalized);
             for (shared, m) in sum.groups {
                 total.groups.entry(shared).or_default().add(&m);
@@ -530,12 +553,18 @@ impl RangeSource<'_> {
             *m = sandwich(&t, m);
         }
         total.gradient = apply(&t, &total.gradient);
+        total.late = total.late.turned(&t);
         for (shared, group) in &mut total.groups {
-            // The column of an offset is a number along the normal: it has no axes to turn.
-            group.pull = match shared {
-                CommonError::Offset(_) | CommonError::Edge(_) => product(&t, &group.pull),
-                CommonError::Object(_) | CommonError::Place(_) | CommonError::Turn => sandwich(&t, &group.pull),
-            };
+            for pull in [&mut group.pull, &mut group.late_pull] {
+                *pull = match shared {
+                    // The column of an offset is a number along the normal: it has no axes to turn.
+                    CommonError::Offset(_) | CommonError::Edge(_) => product(&t, pull),
+                    _ => sandwich(&t, pull),
+                };
+            }
+        }
+        if total.late != LateSums::default() {
+            total.groups.extend(total.late.groups());
         }
         total
     }

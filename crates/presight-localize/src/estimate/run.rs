@@ -5,7 +5,7 @@ use super::normal::Normal;
 use super::range::MeasuredPoint;
 use super::solve::length;
 use crate::extract::FeatureFindings;
-use crate::motion::{motion_between, moved};
+use crate::motion::{Vector, motion_between, moved};
 use crate::verdict::ExpectedImage;
 use presight_model::geometry::{Pose, PoseEstimate, RobotPose};
 use presight_model::matrix::{Matrix, quadratic};
@@ -40,6 +40,27 @@ pub(super) struct Minimum {
     pub(super) expected: Arc<Expectation>,
     pub(super) normal: Normal,
     pub(super) spread: f64,
+    /// The correction of the twist during the scan, if it is estimated: world axes, metres and radians per second.
+    pub(super) twist: Vector,
+}
+
+/// Where an iteration starts.
+#[derive(Clone, Copy)]
+pub(super) struct Start {
+    pub(super) pose: Pose,
+    pub(super) twist: Vector,
+}
+
+impl From<Pose> for Start {
+    fn from(pose: Pose) -> Self {
+        Self { pose, twist: [0.0; 6] }
+    }
+}
+
+impl From<&Minimum> for Start {
+    fn from(minimum: &Minimum) -> Self {
+        Self { pose: minimum.pose, twist: minimum.twist }
+    }
 }
 
 impl Minimum {
@@ -76,6 +97,8 @@ pub(super) struct Run<'a> {
     pub(super) reach: f64,
     /// What was found at the prior's pose: a second look, where that is known better, does not find what was moved.
     pub(super) first: Option<Arc<Expectation>>,
+    /// Information of the prior of the twist during the scan, if it is estimated: world axes.
+    pub(super) twist_prior: Option<Matrix>,
     /// Full predictions so far.
     pub(super) predictions: usize,
 }

@@ -10,7 +10,8 @@ use super::options::EstimateOptions;
 use super::prior;
 use super::range::measured_points;
 use super::reflectors::{MatchedReflectors, hold, other_camp};
-use super::run::{Expectation, FrameMeasurement, Minimum, Run};
+use super::run::{Expectation, FrameMeasurement, Minimum, Run, Start};
+use super::scan_twist::{self, ScanError, ScanTwist};
 use crate::extract::{FeatureFindings, MeasuredRanges};
 use crate::matching::Shape;
 use crate::motion::{Vector, motion_between};
@@ -18,8 +19,8 @@ use crate::verdict::{ExpectedImage, Surfaces, Verdicts, body_from_image, judge};
 use glam::DVec3;
 use presight_features::{FeatureOptions, PlacedFeatures};
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
-use presight_model::matrix::{Matrix, add_to, inverse, quadratic, restricted, sandwich, scaled, turn};
+use presight_model::geometry::{PoseCovariance, PoseEstimate, RobotPose};
+use presight_model::matrix::{Matrix, add_to, apply, inverse, quadratic, restricted, scaled, turn};
 use presight_model::measured::{Frame, RangeNoise};
 use presight_model::statistics::chi_squared_quantile;
 use presight_model::world::World;
@@ -38,8 +39,8 @@ pub struct Estimator {
     pub(super) offsets: OffsetVariance,
     /// The variance of points about their surfaces.
     deviation: SurfaceVariance,
-    /// Covariance of the twist that was undone in scans that turn, in the robot's axes.
-    twist_error: Matrix,
+    /// Of the motion that was undone in the scans that come next.
+    scan_error: ScanError,
     /// The prediction that the frame before ended with, and the version of the world that it is of.
     before: Option<(u64, Arc<Expectation>)>,
 }
@@ -83,7 +84,7 @@ impl Estimator {
             options,
             offsets,
             deviation: SurfaceVariance::of_sigma(options.model_sigma),
-            twist_error: [[0.0; 6]; 6],
+            scan_error: ScanError::default(),
             before: None,
         }
     }
@@ -98,10 +99,10 @@ impl Estimator {
         self.deviation.learn(&estimate.deviation);
     }
 
-    /// How well the robot's twist is known that was undone in the scans that come next: metres and radians per second in the robot's
-    /// axes. Points err by it as long as they were measured off the middle of the turn.
-    pub(crate) fn set_twist_error(&mut self, covariance: Matrix) {
-        self.twist_error = covariance;
+    /// How well the motion is known that was undone in the scans that come next. Points err by it as long as they were measured
+    /// off the middle of the scan.
+    pub(crate) fn set_scan_error(&mut self, error: ScanError) {
+        self.scan_error = error;
     }
 
     /// With the features that are looked for in grey images, and the reflectors in scans with intensities, instead of the world's own layer
@@ -221,6 +222,55 @@ impl Estimator {
         self.answer(&run, end, Vec::new(), self.options.least_explained)
     }
 
+    /// [`Self::refine`] for a deskewed scan whose twist is estimated, too, and what the scan alone says of it. `known` is the
+    /// covariance of the twist that was undone, in the robot's axes.
+    pub(crate) fn refine_with_twist(
+        &mut self,
+        world: &World,
+        frame: &Frame,
+        prior: &PoseEstimate,
+        known: &Matrix,
+    ) -> Result<(Estimate, ScanTwist)> {
+        let freedom = self.options.freedom;
+        let rotation = prior.world_from_robot.rotation;
+        let mut run = self.start(world, &[frame], prior)?;
+        if run.is_blind() {
+            return Ok((self.blind(&run), ScanTwist::default()));
+        }
+        run.twist_prior = Some(inverse(&scan_twist::in_world(known, rotation), freedom.axes()));
+        let expected = self.expected(&mut run, prior)?;
+        let found = self.descend(&run, &expected, prior.world_from_robot, &SEARCH);
+        let end = self.settle(&mut run, &found)?;
+        let off = motion_between(&run.prior.world_from_robot, &end.pose);
+        let pull = apply(&run.prior_information, &off);
+        let prior = (&run.prior_information, &pull);
+        let shared = self.shared_errors(&end);
+        let twist = ScanTwist::of(&end.normal, prior, &end.twist, end.spread, freedom, &shared);
+        let twist = twist.in_axes(&turn(end.pose.rotation));
+        drop(shared);
+        Ok((self.answer(&run, end, Vec::new(), self.options.least_explained)?, twist))
+    }
+
+    /// Covariances of the errors that residuals share, by the error.
+    fn shared_errors<'a>(&'a self, best: &'a Minimum) -> impl Fn(CommonError) -> Matrix + 'a {
+        let offset = self.offsets.sigma().powi(2);
+        let stored =
+            |object: u32| best.expected.images.iter().find_map(|e| e.errors.get(&object)).map(|e| e.covariance);
+        let axes = self.options.freedom.axes();
+        let of_scan = |m: &Matrix| restricted(&scan_twist::in_world(m, best.pose.rotation), axes);
+        move |error: CommonError| match error {
+            CommonError::Object(object) => stored(object).unwrap_or_default(),
+            CommonError::Offset(_) | CommonError::Edge(_) => {
+                let mut m = [[0.0; 6]; 6];
+                m[0][0] = offset;
+                m
+            }
+            CommonError::Place(feature) => place_error(&best.expected.findings, feature, offset),
+            CommonError::Twist => of_scan(&self.scan_error.twist),
+            CommonError::Acceleration => of_scan(&self.scan_error.acceleration),
+        }
+    }
+
     /// Where the reflectors are that are looked for in the scans of a frame's sensor, world, metres.
     pub(crate) fn reflectors(&self, world: &World, frame: &Frame) -> Vec<DVec3> {
         reflectors(world, &self.features, frame).collect()
@@ -265,6 +315,7 @@ impl Estimator {
             extent: (GATE * sigma(0), (GATE * sigma(1)).min(1.0)),
             only: self.options.only,
             first: None,
+            twist_prior: None,
             predictions: 0,
         })
     }
@@ -294,7 +345,7 @@ impl Estimator {
         let robust;
         let found = if run.has_greys_only() {
             // What was taken for something else, or was moved, must not lead the second look astray.
-            robust = self.descend(run, &found.expected, found.pose, &SETTLE);
+            robust = self.descend(run, &found.expected, found, &SETTLE);
             &robust
         } else {
             found
@@ -311,7 +362,7 @@ impl Estimator {
             (0..3).for_each(|i| known[i][i] += self.offsets.sigma().powi(2) + run.model_sigma.powi(2));
             self.expected(run, &PoseEstimate::new(RobotPose::new(found.pose), PoseCovariance::from_rows(known)))?
         };
-        Ok(self.descend(run, &expected, found.pose, schedule))
+        Ok(self.descend(run, &expected, found, schedule))
     }
 
     /// Steps from a start to rest, without a new prediction.
@@ -319,30 +370,17 @@ impl Estimator {
         &mut self,
         run: &Run<'_>,
         expected: &Arc<Expectation>,
-        start: Pose,
+        start: impl Into<Start>,
         schedule: &Schedule,
     ) -> Minimum {
-        let freedom = self.options.freedom;
+        let (freedom, start) = (self.options.freedom, start.into());
         let at_once = || descend(run, expected, start, schedule, freedom, |_| false);
         self.predictor.on_threads(at_once).unwrap_or_else(|_| at_once())
     }
 
     fn answer(&mut self, run: &Run<'_>, best: Minimum, others: Vec<Minimum>, least: f64) -> Result<Estimate> {
         let freedom = self.options.freedom;
-        let offset = self.offsets.sigma().powi(2);
-        let stored =
-            |object: u32| best.expected.images.iter().find_map(|e| e.errors.get(&object)).map(|e| e.covariance);
-        let place = |id: u32| place_error(&best.expected.findings, id, offset);
-        let shared = |error: CommonError| match error {
-            CommonError::Object(object) => stored(object).unwrap_or_default(),
-            CommonError::Offset(_) | CommonError::Edge(_) => {
-                let mut m = [[0.0; 6]; 6];
-                m[0][0] = offset;
-                m
-            }
-            CommonError::Place(feature) => place(feature),
-            CommonError::Turn => restricted(&sandwich(&turn(best.pose.rotation), &self.twist_error), freedom.axes()),
-        };
+        let shared = self.shared_errors(&best);
         let matched =
             best.expected.findings.iter().flat_map(FeatureFindings::matched).flat_map(|(f, _)| &f.points_world);
         let reach = reach_of(&run.measured, matched.map(|p| p.distance_squared(best.pose.translation)));
@@ -357,6 +395,7 @@ impl Estimator {
             self.options.loosest,
             &shared,
         );
+        drop(shared);
         let hypothesis = best.hypothesis();
         let reflectors = MatchedReflectors::at(run, &best.expected, &best.pose).counts();
         let state = match self.doubt_of_features(run, &best) {

@@ -19,6 +19,8 @@ mod reflectors;
 mod residuals;
 mod rivals;
 mod round;
+mod scan;
+mod scan_time;
 mod search;
 mod timing;
 mod turning;

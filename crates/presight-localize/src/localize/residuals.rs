@@ -31,6 +31,10 @@ const SURE: f64 = 5.0;
 /// It must also exceed the usual error of a calibration: metres, radians, seconds.
 const MATTERS: (f64, f64, f64) = (0.01, 0.006, 0.005);
 
+/// Usual deviations of a, b, x, y, c, k and w, where the time alone is asked for: scales of some per cent, a mount known to some
+/// centimetres and degrees, and odometry that drifts by 0.02 rad/m.
+const USUAL: [f64; N] = [0.05, 0.05, 0.05, 0.05, 0.0, 0.05, 0.02];
+
 /// A motion, as the next one is needed to know how its rate changes.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
@@ -120,7 +124,18 @@ impl Residuals {
 
     /// The figures; `None` while there are too few motions, or none that turn and change.
     pub fn misfit(&self) -> Option<Misfit> {
-        if self.rows < 3 * LEAST {
+        self.misfit_of(LEAST, &[0.0; N])
+    }
+
+    /// How long after their stamps scans are taken in the mean, by the clock of the odometry, seconds, from `least` motions on. Mount
+    /// and odometry are taken to be as good as usual.
+    pub(super) fn after_stamp(&self, least: usize) -> Option<Figure> {
+        self.misfit_of(least, &USUAL).map(|misfit| (misfit.late.0 + self.after_stamp, misfit.late.1))
+    }
+
+    /// `known` has the standard deviations of the numbers before the drive; 0 if nothing is known of one.
+    fn misfit_of(&self, least: usize, known: &[f64; N]) -> Option<Misfit> {
+        if self.rows < 3 * least {
             return None;
         }
         // A number that no motion determines keeps its place, with a large deviation.
@@ -130,6 +145,9 @@ impl Residuals {
         let found = solve_factored(&l, &self.right);
         let explained: f64 = found.iter().zip(&self.right).map(|(x, r)| x * r).sum();
         let scatter = (self.squares - explained).max(0.0) / (self.rows - N) as f64;
+        (0..N).filter(|i| known[*i] > 0.0).for_each(|i| information[i][i] += scatter / known[i].powi(2));
+        let l = cholesky(&information, |x| (x > 0.0).then_some(x))?;
+        let found = solve_factored(&l, &self.right);
         let sigma = |i: usize| {
             let unit: [f64; N] = std::array::from_fn(|j| if i == j { 1.0 } else { 0.0 });
             (scatter * solve_factored(&l, &unit)[i].max(0.0)).sqrt()
@@ -146,6 +164,11 @@ impl Residuals {
 
     /// One line for each figure that is sure and that matters.
     pub fn warnings(&self) -> Vec<String> {
+        self.warnings_but(false)
+    }
+
+    /// [`Self::warnings`], without that of the clock if its cause `is_known`.
+    pub(super) fn warnings_but(&self, is_known: bool) -> Vec<String> {
         let Some(Misfit { turned, ahead, left, late }) = self.misfit() else { return Vec::new() };
         let (metres, radians, seconds) = MATTERS;
         let is_sure = |(x, sigma): Figure, least: f64| x.abs() > least && x.abs() > SURE * sigma;
@@ -163,7 +186,7 @@ impl Residuals {
                 lines.push(format!("the scanner seems mounted {:.3} +- {sigma:.3} m farther {side}; {mount}", x.abs()));
             }
         }
-        if is_sure(late, seconds) {
+        if is_sure(late, seconds) && !is_known {
             let (ms, sigma) = (1e3 * late.0, 1e3 * late.1);
             let side = side(ms, "later", "earlier");
             let what = format!(

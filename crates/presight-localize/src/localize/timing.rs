@@ -2,9 +2,11 @@
 //! of motion and odometry is watched.
 
 use super::residuals::Residuals;
+use super::scan_time::ScanTime;
 use super::turning::check;
-use super::velocity::{Stamps, Velocity, twist_of};
+use super::velocity::{Stamps, twist_of};
 use super::{Localizer, Phase, State, Step};
+use crate::estimate::ScanError;
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
 use presight_model::measured::{Frame, ScanMotion};
@@ -15,6 +17,9 @@ use std::borrow::Cow;
 /// A larger share of frames that contradict the odometry gives a warning: with the stated noise the share is 1 in 10,000.
 const CONTRADICTING: f64 = 0.02;
 
+/// Motions from which the place of the stamp in a scan is told: its deviation decides.
+const MIN_MOTIONS: usize = 10;
+
 /// Most pixels of an image while the robot is lost.
 const SEARCH_PIXELS: u64 = 2_000;
 
@@ -24,10 +29,11 @@ pub(super) struct Timing {
     /// Stamp of the first frame, seconds.
     first: Option<f64>,
     /// Frames since.
-    count: usize,
+    pub count: usize,
     residuals: Option<Residuals>,
-    /// Where the robot was tracked at the frame before, and when.
-    before: Option<(f64, Pose)>,
+    pub scan_time: ScanTime,
+    /// Where the robot was tracked at the frame before, when, and whether by a scan with its motion.
+    before: Option<(f64, Pose, bool)>,
 }
 
 /// Seconds from the stamp to the middle of a scan, and half of the scan's duration.
@@ -55,13 +61,14 @@ impl Localizer {
         let thin = self.thinned_for_search(frame)?;
         let whole = thin.as_ref().unwrap_or(frame);
         let still = if half > 0.0 { Some(self.put_to_middle(world, whole)?) } else { None };
-        let (still, motion) = still.unzip();
+        let motion = still.as_ref().map(|still| still.motion.clone());
         // Rays that start beside the sensor's origin.
-        let still = if still.is_none() && !whole.has_one_pose() { Some(whole.deskewed(0.0)?) } else { still };
+        let centred = if still.is_none() && !whole.has_one_pose() { Some(whole.deskewed(0.0)?) } else { None };
         let others = self.beside_at(beside, motion.as_ref(), frame.stamp + middle)?;
         let others: Vec<&Frame> = others.iter().map(|other| &**other).collect();
-        let step = self.step_at_once(world, still.as_ref().unwrap_or(whole), &others);
-        self.estimator.set_twist_error([[0.0; 6]; 6]);
+        let at_once = still.as_ref().map(|still| &still.frame).or(centred.as_ref());
+        let step = self.step_at_once(world, at_once.unwrap_or(whole), &others);
+        self.estimator.set_scan_error(ScanError::default());
         let mut step = step?;
         if let Some(thin) = &thin {
             // Verdicts of these pixels would not fit the frame.
@@ -76,11 +83,18 @@ impl Localizer {
             let size = (thin.sensor().width(), thin.sensor().height());
             step.reason += &format!("; looked for with {} x {} of the frame's pixels", size.0, size.1);
         }
+        let (moved, pose) = self.learn_scan_time(world, whole, &step, still.as_ref())?;
         self.timing.count += 1;
-        self.watch(&step, frame);
+        self.watch(&step, frame, pose);
+        if let Some(moved) = moved {
+            step.pose = self.widened_by_turn(&step.pose, &moved);
+        }
         if half > 0.0 || stamp_sigma > 0.0 {
-            let (freedom, then) = (self.estimator.options.freedom, step.pose.world_from_robot);
-            step.pose = self.velocity.before(&step.pose, middle, stamp_sigma, freedom);
+            let then = step.pose.world_from_robot;
+            if let Some(still) = &still {
+                self.velocity.learn_scan(&still.during);
+            }
+            step.pose = self.at_stamp(&step.pose, (middle, stamp_sigma), still.as_ref().map(|still| &still.during));
             step.stamp = frame.stamp;
             let stamp_from_middle = step.pose.world_from_robot.inverse() * then;
             let intervals = std::iter::once(&frame).chain(beside).map(|frame| frame.sensor().scan_interval());
@@ -108,7 +122,11 @@ impl Localizer {
     /// Warnings about the robot itself, one line each: a mount or a clock that is not as stated, and odometry that contradicts the
     /// frames.
     pub fn warnings(&self) -> Vec<String> {
-        let mut lines = self.timing.residuals.as_ref().map(Residuals::warnings).unwrap_or_default();
+        let residuals = self.timing.residuals.as_ref();
+        let scan = self.timing.scan_time.warning(residuals.and_then(|r| r.after_stamp(MIN_MOTIONS)));
+        let is_explained = scan.as_ref().is_some_and(|(_, is_explained)| *is_explained);
+        let mut lines: Vec<String> = scan.into_iter().map(|(line, _)| line).collect();
+        lines.extend(residuals.map(|r| r.warnings_but(is_explained)).unwrap_or_default());
         let (far, all) = self.velocity.contradicted();
         if far > 2 && far as f64 > CONTRADICTING * all as f64 {
             lines.push(format!(
@@ -118,37 +136,6 @@ impl Localizer {
         }
         lines.extend(self.frozen.warning());
         lines
-    }
-
-    /// A scan as from the middle of its turn. The motion of the turn is not known before the scan is matched: it is matched once with the
-    /// last motion, and then put right with the one that this leads to. The estimator then receives the covariance of the remaining error.
-    fn put_to_middle(&mut self, world: &World, frame: &Frame) -> Result<(Frame, ScanMotion)> {
-        let (freedom, (middle, half)) = (self.estimator.options.freedom, middle_of(frame.sensor()));
-        let (Some(stamp), Some(belief)) = (self.stamp, self.followed_pose()) else {
-            return self.undone(frame, &self.velocity.clone(), half);
-        };
-        let seconds = frame.stamp + middle - stamp;
-        if !(seconds > 0.0) {
-            return self.undone(frame, &self.velocity.clone(), half);
-        }
-        let mut velocity = self.velocity.clone();
-        let (_, prior) = velocity.carry(&belief, seconds, frame.motion.as_ref(), stamps_of(frame), freedom);
-        let first = self.undone(frame, &velocity, half)?;
-        let estimate = self.estimator.refine(world, &first.0, &prior)?;
-        if !estimate.is_determined() {
-            return Ok(first);
-        }
-        velocity.learn(&prior, &estimate.pose, freedom);
-        self.undone(frame, &velocity, half)
-    }
-
-    /// A scan without the motion of its turn, half a turn before and after the time that the velocity holds for.
-    fn undone(&mut self, frame: &Frame, velocity: &Velocity, half: f64) -> Result<(Frame, ScanMotion)> {
-        let (twist, covariance) = velocity.within(-half, half);
-        self.estimator.set_twist_error(covariance);
-        let motion = ScanMotion::Twist(twist_of(&twist));
-        let still = frame.clone().with_scan_motion(motion.clone()).deskewed(middle_of(frame.sensor()).0)?;
-        Ok((still, motion))
     }
 
     /// The frames of other sensors, at the moment to which the scan was moved if they take time.
@@ -171,12 +158,16 @@ impl Localizer {
     }
 
     /// Compares the motion between two frames in a row that were tracked with the odometry.
-    fn watch(&mut self, step: &Step, frame: &Frame) {
-        let now = (step.phase == Phase::Tracking).then_some((step.stamp, step.pose.world_from_robot));
+    /// `moving` is the pose with the motion of a scan whose times nobody states.
+    fn watch(&mut self, step: &Step, frame: &Frame, moving: Option<Pose>) {
+        let is_moving = moving.is_some();
+        let pose = moving.unwrap_or(step.pose.world_from_robot);
+        let now = (step.phase == Phase::Tracking).then_some((step.stamp, pose, is_moving));
         let (middle, _) = middle_of(frame.sensor());
         let residuals = self.timing.residuals.get_or_insert_with(|| Residuals::new(middle));
         match (self.timing.before, now, &frame.motion) {
-            (Some((then, before)), Some((stamp, now)), Some(odometry)) => {
+            // Poses of either kind err alike.
+            (Some((then, before, was)), Some((stamp, now, is)), Some(odometry)) if was == is => {
                 residuals.add(&(before.inverse() * now), odometry, stamp - then);
             }
             _ => residuals.interrupt(),
@@ -185,11 +176,12 @@ impl Localizer {
     }
 }
 
-/// Pieces of the path of a scan: in 0.1 s, a robot at 2 m/s and 2 rad/s leaves the straight lines between them by 0.02 mm.
+/// Pieces of the path of a scan: in 0.1 s, a robot at 2 m/s and 2 rad/s leaves the straight lines by 0.02 mm.
 const PIECES: usize = 16;
 
-/// The motion during a scan so that it leads from the pose at the stamp to the pose at the moment that the scan was moved to.
-/// Between both, the speed is known better than its mean over the scan, so that the motion alone would miss it.
+/// The motion during a scan, adjusted so that it leads exactly from the pose at the stamp to the pose at the middle.
+/// The pose at the stamp follows from the speed before the middle, which differs from the mean speed of the scan if the
+/// robot accelerates.
 fn through(
     motion: &ScanMotion,
     (middle, stamp_from_middle): (f64, Pose),

@@ -11,6 +11,7 @@
 
 use super::drift::variance_of_means;
 use super::on_the_floor;
+use super::scan::DuringScan;
 use crate::estimate::Freedom;
 use crate::motion::{Vector, motion_between};
 use glam::DVec3;
@@ -95,6 +96,11 @@ pub struct Velocity {
     earlier: Option<(Vector, f64)>,
     /// How much the twist changes, as far as it was learnt: variance in one second, and motions that taught it.
     learnt: [(f64, f64); 6],
+    /// The twist during the scan of the latest frame, and how much the twists of scans in a row differ, and the motions between them:
+    /// variances in one second, and the scans that taught them.
+    scan: Option<DuringScan>,
+    scan_change: [(f64, f64); 6],
+    scan_bend: [(f64, f64); 6],
     /// What the motions before say of the one that the next frame is compared with.
     foretold: Option<[Foretold; 6]>,
 }
@@ -107,6 +113,14 @@ struct Foretold {
     window: f64,
     /// Its variance by the errors of the frames.
     noise: f64,
+}
+
+/// One number of the twist by two measurements.
+struct Blend {
+    mean: f64,
+    variance: f64,
+    /// Part of the first measurement's error that is left in it.
+    share: f64,
 }
 
 /// How the times of frames are known.
@@ -133,7 +147,7 @@ const CONTRADICTS: f64 = 3.719;
 
 impl MotionNoise {
     /// Variance of the change of a number of the twist in one second.
-    fn density(&self, i: usize) -> f64 {
+    pub(super) fn density(&self, i: usize) -> f64 {
         if i < 3 { self.speed.powi(2) } else { self.turn.powi(2) }
     }
 }
@@ -157,6 +171,9 @@ impl Velocity {
             seconds,
             earlier,
             learnt,
+            scan: None,
+            scan_change: learnt,
+            scan_bend: learnt,
             foretold,
         };
         (0..2).for_each(|k| unknown.covariance[SCALES + k][SCALES + k] = noise.scale.powi(2));
@@ -167,7 +184,7 @@ impl Velocity {
     /// Forgets the speed of the robot, and keeps the scales of its odometry.
     pub fn restart(&mut self) {
         (self.twist, self.is_fresh) = ([0.0; 6], true);
-        (self.seconds, self.earlier, self.foretold) = (0.0, None, None);
+        (self.seconds, self.earlier, self.foretold, self.scan) = (0.0, None, None, None);
         let scales: Vec<f64> = (SCALES..N).map(|i| self.covariance[i][i]).collect();
         self.covariance = [[0.0; N]; N];
         (SCALES..N).for_each(|i| self.covariance[i][i] = scales[i - SCALES]);
@@ -176,6 +193,16 @@ impl Velocity {
 
     fn first(&self, i: usize) -> f64 {
         if i < 3 { self.noise.first_speed.powi(2) } else { self.noise.first_turn.powi(2) }
+    }
+
+    /// Seconds of the latest motion; 0 before the first.
+    pub(super) fn seconds(&self) -> f64 {
+        self.seconds
+    }
+
+    /// The covariance of the twist before the first motion.
+    pub(super) fn first_covariance(&self) -> Matrix {
+        std::array::from_fn(|i| std::array::from_fn(|j| if i == j { self.first(i) } else { 0.0 }))
     }
 
     /// Metres and radians per second, in the robot's axes.
@@ -257,7 +284,7 @@ impl Velocity {
     }
 
     /// Variance of the twist's change in one second, as it was learnt.
-    fn density(&self, i: usize) -> f64 {
+    pub(super) fn density(&self, i: usize) -> f64 {
         let most = self.most_change(i, self.seconds, self.by_odometry) / self.seconds.max(1e-9);
         self.learnt[i].0.max(LEAST_CHANGE * self.noise.density(i)).min(most)
     }
@@ -328,16 +355,112 @@ impl Velocity {
     pub fn before(&self, belief: &PoseEstimate, seconds: f64, stamp_sigma: f64, freedom: Freedom) -> PoseEstimate {
         let mut then = self.clone();
         then.hold(belief);
-        let from = belief.world_from_robot;
         let (twist, covariance) = self.within(-seconds, 0.0);
         (0..6).for_each(|i| then.covariance[TWIST + i][TWIST + i] = covariance[i][i]);
         then.twist = twist;
-        let motion = Motion { previous_from_current: along(&twist, -seconds), covariance: PoseCovariance::ZERO };
+        then.led_back(belief, seconds, stamp_sigma, freedom)
+    }
+
+    /// The pose `seconds` before a belief by this twist and its covariance.
+    fn led_back(mut self, belief: &PoseEstimate, seconds: f64, stamp_sigma: f64, freedom: Freedom) -> PoseEstimate {
+        let from = belief.world_from_robot;
+        let motion = Motion { previous_from_current: along(&self.twist, -seconds), covariance: PoseCovariance::ZERO };
         let motion = if freedom == Freedom::Planar { on_the_floor(&from, &motion) } else { motion };
         let to = from * motion.previous_from_current;
-        then.spread(&from, &to, -seconds, freedom);
-        then.add_jitter(&to, stamp_sigma, freedom);
-        PoseEstimate::new(RobotPose::new(to), PoseCovariance::from_rows(then.pose_covariance()))
+        self.spread(&from, &to, -seconds, freedom);
+        self.add_jitter(&to, stamp_sigma, freedom);
+        PoseEstimate::new(RobotPose::new(to), PoseCovariance::from_rows(self.pose_covariance()))
+    }
+
+    /// [`Self::before`] for a scan that is measured around the belief's time, with the twist that it was measured with.
+    pub(super) fn before_in_scan(
+        &self,
+        belief: &PoseEstimate,
+        seconds: f64,
+        stamp_sigma: f64,
+        freedom: Freedom,
+        scan: &DuringScan,
+    ) -> PoseEstimate {
+        let mut then = self.clone();
+        then.hold(belief);
+        let mut twist = scan.twist;
+        for i in 0..6 {
+            let Blend { mean, variance, share } = self.blend(i, (-seconds.max(0.0), -seconds.min(0.0)), scan);
+            twist[i] = scan.to_middle.map_or(mean, |to_middle| to_middle[i]);
+            let share = if scan.to_middle.is_some() { 0.0 } else { share };
+            for j in 0..TWIST {
+                then.covariance[TWIST + i][j] *= share;
+                then.covariance[j][TWIST + i] *= share;
+            }
+            let variance = if scan.to_middle.is_some() { scan.covariance[i][i] } else { variance };
+            then.covariance[TWIST + i][TWIST + i] = variance;
+        }
+        then.twist = twist;
+        then.led_back(belief, seconds, stamp_sigma, freedom)
+    }
+
+    /// One number of the mean twist in a window around the latest frame, by the motion to this frame and by its scan: the best
+    /// linear estimate, where the twist changes by white acceleration.
+    fn blend(&self, i: usize, (from, to): (f64, f64), scan: &DuringScan) -> Blend {
+        let (density, of_scan) = (self.scan_density(&self.scan_bend, i), (-scan.half, scan.half));
+        let apart = |a: (f64, f64), b: (f64, f64)| {
+            if a.0 < a.1 && b.0 < b.1 { density * variance_of_means(&[(1.0, a.0, a.1), (-1.0, b.0, b.1)]) } else { 0.0 }
+        };
+        let (at, scanned, noise) = (scan.twist[i], apart((from, to), of_scan), scan.covariance[i][i]);
+        if self.seconds <= 0.0 {
+            return Blend { mean: at, variance: scanned + noise, share: 0.0 };
+        }
+        let (of_motion, known) = ((-self.seconds, 0.0), self.covariance[TWIST + i][TWIST + i]);
+        let (wanted, total) = (apart((from, to), of_motion), apart(of_scan, of_motion) + known + noise);
+        let shared = 0.5 * (wanted + apart(of_scan, of_motion) - scanned) + known;
+        let gain = if total > 0.0 { shared / total } else { 0.0 };
+        let mean = self.twist[i] + gain * (at - self.twist[i]);
+        Blend { mean, variance: (wanted + known - gain * shared).max(0.0), share: (1.0 - gain).clamp(0.0, 1.0) }
+    }
+
+    /// Variance of the twist's change in one second, as scans taught it.
+    fn scan_density(&self, learnt: &[(f64, f64); 6], i: usize) -> f64 {
+        learnt[i].0.max(LEAST_CHANGE * self.noise.density(i))
+    }
+
+    /// Learns from the twist during the latest frame's scan how much the twist changes from scan to scan, and how far the motion
+    /// between two scans is off their mean.
+    pub(super) fn learn_scan(&mut self, scan: &DuringScan) {
+        let before = self.scan.replace(*scan).filter(|_| self.seconds > 0.0);
+        let Some(before) = before else { return };
+        let (seconds, half) = (self.seconds, scan.half);
+        let (now, then) = ((-half, half), (-half - seconds, half - seconds));
+        let change = variance_of_means(&[(1.0, now.0, now.1), (-1.0, then.0, then.1)]);
+        let bend = variance_of_means(&[(1.0, -seconds, 0.0), (-0.5, now.0, now.1), (-0.5, then.0, then.1)]);
+        for i in (0..6).filter(|i| scan.is_seen[*i] && before.is_seen[*i]) {
+            let noise = scan.covariance[i][i] + before.covariance[i][i];
+            let off = scan.twist[i] - before.twist[i];
+            add_sample(&mut self.scan_change[i], (off * off - noise) / change);
+            let off = self.twist[i] - 0.5 * (scan.twist[i] + before.twist[i]);
+            add_sample(
+                &mut self.scan_bend[i],
+                (off * off - 0.25 * noise - self.covariance[TWIST + i][TWIST + i]) / bend,
+            );
+        }
+    }
+
+    /// Takes over the twist of the first scan.
+    pub(super) fn begin(&mut self, scan: &DuringScan) {
+        if !self.is_fresh {
+            return;
+        }
+        (self.twist, self.is_fresh) = (scan.twist, false);
+        for i in 0..6 {
+            (0..6).for_each(|j| self.covariance[TWIST + i][TWIST + j] = scan.covariance[i][j]);
+        }
+    }
+
+    /// Covariance of the mean acceleration during a scan: it is what the mean twists of the scan's halves differ by.
+    pub(super) fn acceleration(&self, half: f64) -> Matrix {
+        let halves = variance_of_means(&[(1.0, 0.0, half), (-1.0, -half, 0.0)]) / (half * half);
+        std::array::from_fn(|i| {
+            std::array::from_fn(|j| if i == j { halves * self.scan_density(&self.scan_change, i) } else { 0.0 })
+        })
     }
 
     /// What the pose may be off by because its time is.
@@ -485,6 +608,12 @@ impl Velocity {
             }
         }
     }
+}
+
+/// Adds what a scan says to a variance: what is stated counts as one.
+fn add_sample((variance, scans): &mut (f64, f64), seen: f64) {
+    *scans += 1.0;
+    *variance += (seen - *variance) * (1.0 / (1.0 + *scans)).max(FORGET);
 }
 
 fn restricted_vector(v: &Vector, freedom: Freedom) -> Vector {

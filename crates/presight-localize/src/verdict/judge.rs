@@ -33,6 +33,21 @@ presight_model::words! {
     }
 }
 
+impl Verdict {
+    /// Its colour in pictures, sRGB: muted for confirmed pixels, and distinguishable with red-green colour blindness.
+    pub fn color(self) -> [u8; 3] {
+        match self {
+            Self::Confirmed => [0x2f, 0x6f, 0x5e],
+            Self::Nearer => [0xff, 0x8c, 0x42],
+            Self::Farther => [0x56, 0xb4, 0xe9],
+            Self::NoReturn => [0x0b, 0x0c, 0x0f],
+            Self::Beyond => [0x26, 0x2a, 0x33],
+            Self::Undecidable => [0x8a, 0x90, 0x9c],
+            Self::NotPredicted => [0xcc, 0x79, 0xa7],
+        }
+    }
+}
+
 /// The verdicts of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Verdicts {

@@ -80,7 +80,7 @@ impl Environment {
     pub fn frame_of(&self, path: &str) -> Result<Pose> {
         self.frame(path).ok_or_else(|| {
             let what = format!("there is no object {path:?}, and no object below it");
-            Error::invalid(what, "presight inspect lists the objects")
+            Error::invalid(what, self.objects_remedy(path))
         })
     }
 

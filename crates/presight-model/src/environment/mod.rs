@@ -29,6 +29,7 @@ pub(crate) use revert::Revert;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{Aabb, Pose};
 use crate::limits;
+use crate::printable;
 use glam::{DAffine3, DMat3, DVec3};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt;
@@ -279,8 +280,16 @@ impl Environment {
     /// # Errors
     /// [`ErrorKind::Invalid`] if there is no such object.
     pub fn index_of(&self, name: &str) -> Result<u32> {
-        let remedy = "presight inspect lists the objects";
-        self.names.get(name).copied().ok_or_else(|| Error::invalid(format!("there is no object {name:?}"), remedy))
+        self.names
+            .get(name)
+            .copied()
+            .ok_or_else(|| Error::invalid(format!("there is no object {name:?}"), self.objects_remedy(name)))
+    }
+
+    /// The remedy for a name that no object has.
+    pub fn objects_remedy(&self, name: &str) -> String {
+        let alike = printable::did_you_mean(name, self.names.keys().map(String::as_str));
+        alike + "presight inspect lists the objects"
     }
 
     /// Indices of the objects below a path: objects whose path starts with it and a slash.

@@ -1,5 +1,5 @@
-//! What a scan measured while the robot moved, moved to one moment. Edges of near things are where this is not exact: other
-//! parts of a surface are hidden from the moment's pose than from that of each ray.
+//! What a scan measured while the robot moved, moved to one moment. Edges of near things are where this is not exact:
+//! other parts of a surface are hidden from the moment's pose than from that of each ray.
 
 use super::{Frame, Measurement, ScanMotion};
 use crate::error::{Error, Result};
@@ -14,21 +14,23 @@ use std::collections::HashMap;
 const JUMP: f64 = 0.1;
 
 impl Frame {
-    /// True if all rays start at one point at one time, or if the frame was deskewed: one pose then holds for the frame.
+    /// True if all rays start at one point at one time, or if the frame was deskewed: one pose then holds for the
+    /// frame.
     pub fn has_one_pose(&self) -> bool {
         let sensor = self.sensor();
         let stands = self.scan_motion.as_ref().is_none_or(ScanMotion::is_still);
         self.deskewed_by.is_some() || (stands || sensor.spec().times.is_at_once()) && !sensor.has_origins()
     }
 
-    /// The frame as measured from one point at one moment, `seconds` after its stamp, which becomes the stamp. Each point
-    /// moves by the motion of the scan ([`Frame::with_scan_motion`]); without one the robot stands. Origins of rays beside
-    /// the sensor's own are accounted for. A scanner of one row keeps its directions and gets new ranges; other frames get
-    /// a ray for each of their points. A frame that [`Frame::has_one_pose`] and grey images only get the stamp.
+    /// The frame as measured from one point at one moment, `seconds` after its stamp, which becomes the stamp. Each
+    /// point moves by the motion of the scan ([`Frame::with_scan_motion`]); without one the robot stands. Origins of
+    /// rays beside the sensor's own are accounted for. A scanner of one row keeps its directions and gets new ranges;
+    /// other frames get a ray for each of their points. A frame that [`Frame::has_one_pose`] and grey images only get
+    /// the stamp.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the motion does not reach over the scan; [`crate::ErrorKind::System`] if there is
-    /// no memory for the new rays.
+    /// [`crate::ErrorKind::Invalid`] if the motion does not reach over the scan; [`crate::ErrorKind::System`] if there
+    /// is no memory for the new rays.
     pub fn deskewed(&self, seconds: f64) -> Result<Self> {
         let motion = self.motion_or_still();
         if self.has_one_pose() || self.grey().is_some() {
@@ -60,8 +62,9 @@ impl Frame {
         }
     }
 
-    /// The frame as measured at one moment, in the middle of its scan, where an error of the motion does least; the frame
-    /// itself if it [`Frame::has_one_pose`]. Without a motion ([`Frame::scan_motion`]) the robot counts as standing.
+    /// The frame as measured at one moment, in the middle of its scan, where an error of the motion does least; the
+    /// frame itself if it [`Frame::has_one_pose`]. A robot whose motion is unknown ([`Frame::scan_motion`]) counts as
+    /// standing.
     ///
     /// # Errors
     /// Those of [`Frame::deskewed`].
@@ -165,8 +168,8 @@ impl<'a> SensorMoves<'a> {
     }
 }
 
-/// Ranges along the scanner's own directions, where these meet the lines from each point to its neighbour. Next to a ray
-/// without a return, and at the edge of a surface, the nearer neighbour counts.
+/// Ranges along the scanner's own directions, where these meet the lines from each point to its neighbour. Next to a
+/// ray without a return, and at the edge of a surface, the nearer neighbour counts.
 fn in_row(frame: &Frame, moved: &[Moved]) -> Result<Frame> {
     let sensor = frame.sensor();
     let width = moved.len();
@@ -191,8 +194,8 @@ fn in_row(frame: &Frame, moved: &[Moved]) -> Result<Frame> {
     Frame::new(frame.stamp, sensor.clone(), Measurement::Range(ranges))
 }
 
-/// Columns whose direction may lie between two neighbours that were measured in this column: a direction is met close to
-/// the column that has measured it.
+/// Columns whose direction may lie between two neighbours that were measured in this column: a direction is met close
+/// to the column that has measured it.
 fn columns_near(i: usize, width: usize, is_closed: bool) -> impl Iterator<Item = usize> {
     let (reach, width) = ((2 + width / 8) as i64, width as i64);
     let column = move |k: i64| {
@@ -260,8 +263,8 @@ mod tests {
         Sensor::new(spec.with_times(RayTimes::turning(turn_s, stamp))).unwrap()
     }
 
-    /// What the scanner reads in a room of 10 x 8 m with its middle at the origin, where the robot is `seconds` after the
-    /// stamp; column by column.
+    /// What the scanner reads in a room of 10 x 8 m with its middle at the origin, where the robot is `seconds` after
+    /// the stamp; column by column.
     fn turned(twist: &Twist, sensor: &Sensor, seconds: f64) -> Frame {
         let range = |c: u32| {
             let pose = twist.over(seconds).inverse() * twist.over(sensor.seconds_after_stamp(c, 0));
@@ -274,7 +277,8 @@ mod tests {
     }
 
     /// A robot at 1.5 m/s and 1 rad/s reads what one that stands reads, but for 5 mm on the walls, once its motion is
-    /// undone. Without that it is off by decimetres. A wrong sign doubles the error, and so does the wrong end of the scan.
+    /// undone. Without that it is off by decimetres. A wrong sign doubles the error, and so does the wrong end of the
+    /// scan.
     #[test]
     fn a_turn_is_undone_by_the_motion() {
         let driving = [(1.5, 1.0), (0.0, -1.0), (1.5, 0.0)];

@@ -24,6 +24,7 @@ impl<'a> View<'a> {
             ids: known.then_some(ids),
             features: prediction.features.as_ref(),
             given_up: prediction.degradation(),
+            moves: prediction.request.moves(&prediction.sensor),
         }
     }
 }

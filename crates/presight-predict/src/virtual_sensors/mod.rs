@@ -167,6 +167,9 @@ impl VirtualSensor {
                 format!("take one of class {wanted:?}, such as {preset}, or write class = {wanted:?} in its file");
             return wrong(format!("is of class {:?}", spec.class), remedy);
         }
+        if sensor.has_origins() {
+            return wrong("has rays that start at several points".into(), "take one whose rays have one origin".into());
+        }
         let scanner = match &spec.geometry {
             Geometry::Scanner(scanner) => Some(scanner),
             _ => None,
@@ -216,6 +219,10 @@ impl VirtualSensor {
     pub fn reduce(self, view: &View<'_>, settings: &Settings) -> Result<VirtualReading> {
         view.pose.world_from_sensor().check()?;
         self.check(view.sensor)?;
+        if view.moves {
+            let remedy = "predict without a motion, or put the points to one moment first (Frame::deskewed)";
+            return Err(Error::usage(format!("{} of a sensor that moves while it measures", self.name()), remedy));
+        }
         let features = || {
             let class = self.class();
             view.features.ok_or_else(|| {

@@ -41,6 +41,8 @@ pub struct View<'a> {
     pub features: Option<&'a FeaturePrediction>,
     /// Results given up for a deadline. A pixel that has a ray but a NaN range is then unknown.
     pub given_up: Option<&'a Degradation>,
+    /// True if the sensor moved while it measured the ranges, so that no single pose holds for them.
+    pub moves: bool,
 }
 
 /// Ids of the polygons and objects that the pixels show.
@@ -59,7 +61,7 @@ pub struct ViewIds<'a> {
 impl<'a> View<'a> {
     /// A view of a sensor at a pose without images or features.
     pub fn new(sensor: &'a Sensor, pose: &SensorPose) -> Self {
-        Self { sensor, pose: *pose, range: &[], ids: None, features: None, given_up: None }
+        Self { sensor, pose: *pose, range: &[], ids: None, features: None, given_up: None, moves: false }
     }
 
     /// Sets the ranges, metres along each pixel's ray, row-major.

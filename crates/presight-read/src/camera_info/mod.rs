@@ -62,6 +62,15 @@ pub fn parse(text: &str, name: &str, camera: Option<&str>, rectified: bool) -> R
     chain::parse(text, &keys, name, camera)
 }
 
+/// Reads the message of a camera. Also returns notices on parts that are not used.
+///
+/// # Errors
+/// As [`read`], without the file.
+#[cfg(feature = "ros")]
+pub fn of_message(info: &presight_ros::message::CameraInfo, rectified: bool) -> Result<(SensorSpec, Vec<String>)> {
+    ros::of_message(info, rectified)
+}
+
 /// Turns OpenCV's YAML into plain YAML with the same lines and columns. Its directive `%YAML:1.0` and its tags
 /// `!!opencv-..` are invalid YAML, and the keys hold the same information.
 fn without_opencv(text: &str) -> Cow<'_, str> {

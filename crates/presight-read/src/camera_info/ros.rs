@@ -19,6 +19,8 @@ use super::{Keys, Numbers, lens, off_centre, unused, yaml};
 use glam::{DMat3, DQuat};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::sensor::{Camera, Distortion, Geometry, SensorSpec};
+#[cfg(feature = "ros")]
+use presight_ros::message::CameraInfo;
 use serde::Deserialize;
 
 #[derive(Deserialize)]
@@ -101,23 +103,57 @@ pub(super) fn parse(text: &str, keys: &Keys, name: &str, rectified: bool) -> Res
             .push("R and P are ignored: the raw image is predicted; `rectified: true` is the rectified one".to_owned());
     }
     notices.extend(unused(keys, |key| USED.contains(&key) || of_rectified(key)));
-    let raw = file.raw()?;
-    let (image, turn) = if rectified { file.rectified(&mut notices)? } else { (raw, DQuat::IDENTITY) };
-    let size = file.size()?;
-    let [bx, by] = file.binning();
-    notices.extend(off_centre(size, [size[0] / bx, size[1] / by], [raw[2], raw[3]]));
-    let lens = if rectified { Distortion::None } else { file.distortion(&mut notices)? };
-    let camera = file.camera(size, image, lens, &mut notices)?;
-    let name = file.camera_name.filter(|n| !n.is_empty()).unwrap_or_else(|| name.to_owned());
-    let mut spec = SensorSpec::new(name, "video", Geometry::Camera(camera));
-    spec.optical_from_image = turn;
-    Ok((spec, notices))
+    let name = file.camera_name.clone().filter(|n| !n.is_empty()).unwrap_or_else(|| name.to_owned());
+    Ok((file.spec(name, rectified, &mut notices)?, notices))
+}
+
+/// The camera of a message; its name is the frame of the message.
+///
+/// # Errors
+/// Those of [`super::read`].
+#[cfg(feature = "ros")]
+pub(super) fn of_message(info: &CameraInfo, rectified: bool) -> Result<(SensorSpec, Vec<String>)> {
+    let [x_offset, y_offset, height, width] = info.roi;
+    let model = if info.distortion_model.is_empty() { "plumb_bob" } else { &info.distortion_model };
+    let file = File {
+        width: Some(info.width),
+        height: Some(info.height),
+        image_size: None,
+        camera_name: None,
+        camera_matrix: Numbers::List(info.k.to_vec()),
+        distortion_model: Some(model.to_owned()),
+        camera_model: None,
+        fisheye_model: None,
+        distortion_coefficients: Some(Numbers::List(info.d.clone())),
+        rectification_matrix: Some(Numbers::List(info.r.to_vec())),
+        projection_matrix: Some(Numbers::List(info.p.to_vec())),
+        binning_x: info.binning[0],
+        binning_y: info.binning[1],
+        // Images of a topic are raw or rectified, whatever a request says.
+        roi: Roi { x_offset, y_offset, height, width, do_rectify: false },
+    };
+    let mut notices = Vec::new();
+    Ok((file.spec(info.header.frame_id.clone(), rectified, &mut notices)?, notices))
 }
 
 /// fx, fy, cx, cy.
 type Intrinsics = [f64; 4];
 
 impl File {
+    /// The raw or the rectified camera.
+    fn spec(&self, name: String, rectified: bool, notices: &mut Vec<String>) -> Result<SensorSpec> {
+        let raw = self.raw()?;
+        let (image, turn) = if rectified { self.rectified(notices)? } else { (raw, DQuat::IDENTITY) };
+        let size = self.size()?;
+        let [bx, by] = self.binning();
+        notices.extend(off_centre(size, [size[0] / bx, size[1] / by], [raw[2], raw[3]]));
+        let lens = if rectified { Distortion::None } else { self.distortion(notices)? };
+        let camera = self.camera(size, image, lens, notices)?;
+        let mut spec = SensorSpec::new(name, "video", Geometry::Camera(camera));
+        spec.optical_from_image = turn;
+        Ok(spec)
+    }
+
     fn size(&self) -> Result<[u32; 2]> {
         let listed = self.image_size.map(|size| size.map(Some)).unwrap_or([self.width, self.height]);
         match listed {

@@ -200,7 +200,7 @@ fn spec(file: &File, name: String) -> Result<SensorSpec> {
 }
 
 /// Angles of the beams: rising if counter-clockwise, otherwise falling.
-fn azimuths(min_angle: f64, max_angle: f64, beams: u32, counter_clockwise: bool) -> Angles {
+pub(super) fn azimuths(min_angle: f64, max_angle: f64, beams: u32, counter_clockwise: bool) -> Angles {
     let (min_angle, max_angle) = (round_degrees(min_angle), round_degrees(max_angle));
     let step = (max_angle - min_angle) / f64::from(beams.saturating_sub(1).max(1));
     let (start_deg, step_deg) = if counter_clockwise { (min_angle, step) } else { (max_angle, -step) };

@@ -24,6 +24,29 @@ pub struct Observation {
     pub frame: Frame,
     /// The robot's pose, if the log has it. Estimates must not use it.
     pub reference: Option<RobotPose>,
+    /// The message of a ROS 2 bag that holds the measurement.
+    pub recorded: Option<Box<Recorded>>,
+}
+
+/// The message of a ROS 2 bag that holds a measurement, as it was recorded, and the frames of its time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recorded {
+    /// Its topic.
+    pub topic: String,
+    /// Its type, `sensor_msgs/msg/LaserScan`.
+    pub message_type: String,
+    /// Its serialization: a header of four bytes, then CDR.
+    pub data: Vec<u8>,
+    /// Topic and serialization of the `CameraInfo` of an image.
+    pub camera_info: Option<(String, Vec<u8>)>,
+    /// Nanoseconds since the epoch of the recording's clock.
+    pub stamp_ns: i64,
+    /// The frame of the measurement.
+    pub frame: String,
+    /// The frame of the robot.
+    pub base: String,
+    /// The frame of the odometry with odom_from_base at the stamp, if it is known.
+    pub odom: Option<(String, Pose)>,
 }
 
 /// The frames of a log, in the order of time. The first error ends them.
@@ -139,7 +162,7 @@ impl Frames {
             let since = before.zip(now).map(|(before, now): (Pose, Pose)| before.inverse() * now);
             frame.motion = since.map(|motion| Motion::of_odometry(motion, &noise));
             before = now;
-            Ok(Observation { reference: at(frame.stamp), frame })
+            Ok(Observation { reference: at(frame.stamp), frame, recorded: None })
         });
         Ok(Self::new(sensor, frames, "65535", Notices::default()))
     }
@@ -165,7 +188,8 @@ impl Frames {
             let reference = frame.reference;
             let timed = used.with(frame.times.as_deref());
             let frame = timed.and_then(|sensor| frame.into_frame_of(sensor, &noise));
-            Ok(Observation { frame: frame.map_err(|e| e.at(format!("frame {index}")).in_file(&file))?, reference })
+            let frame = frame.map_err(|e| e.at(format!("frame {index}")).in_file(&file))?;
+            Ok(Observation { frame, reference, recorded: None })
         });
         Ok(Self { has_planar_poses, ..Self::new(sensor, frames, "null or NaN", Notices::default()) })
     }

@@ -25,7 +25,7 @@ pub mod scans;
 mod tests;
 
 pub use bag_options::BagOptions;
-pub use frames::{Frames, Observation};
+pub use frames::{Frames, Observation, Recorded};
 pub use readings::notice_of_readings;
 
 use super::file;

@@ -80,7 +80,7 @@ impl Scans {
         check_time(self.time, frame.stamp)?;
         self.time = Some(frame.stamp);
         let known = self.poses.get(&stem(path)).copied().or(in_file);
-        Ok(Observation { reference: known.map(|pose| pose.robot(frame.sensor())), frame })
+        Ok(Observation { reference: known.map(|pose| pose.robot(frame.sensor())), frame, recorded: None })
     }
 
     fn of_points(&self, time: f64, path: &Path) -> Result<(Frame, Option<SensorPose>)> {

@@ -54,6 +54,8 @@ pub struct Instance {
     pub center_in_mesh: DVec3,
     /// Transforms mesh normals into the image frame (inverse transpose of the linear part); does not preserve length.
     pub normal_from_mesh: DMat3,
+    /// Transforms mesh normals into the frame of the object.
+    object_from_normal: DMat3,
     /// Frobenius norms of `image_from_mesh` and `normal_from_mesh`.
     pub(crate) norms: [f64; 2],
     /// True if the linear part mirrors.
@@ -72,21 +74,38 @@ impl Instance {
         object: u32,
     ) -> Self {
         let o = &environment.objects()[object as usize];
-        let world_from_image = world_from_sensor.rotation_matrix() * sensor.body_from_image();
-        let object_from_mesh = o.object_from_mesh;
-        let image_from_object = world_from_image.transpose() * o.world_from_object.rotation_matrix();
-        let image_from_mesh = image_from_object * object_from_mesh.matrix3;
         let plain = o.mesh.materials().iter().all(|m| {
             let f = facings[usize::from(*m)];
             f.opaque && !f.one_sided
         });
-        let normal_from_mesh = image_from_object * object_from_mesh.matrix3.inverse().transpose();
+        let object_from_normal = o.object_from_mesh.matrix3.inverse().transpose();
+        Self::seen_from(environment, sensor, world_from_sensor, object, (object_from_normal, plain))
+    }
+
+    /// The same object, seen from another pose.
+    pub(crate) fn again(&self, environment: &Environment, sensor: &Sensor, world_from_sensor: &Pose) -> Self {
+        Self::seen_from(environment, sensor, world_from_sensor, self.object, (self.object_from_normal, self.plain))
+    }
+
+    fn seen_from(
+        environment: &Environment,
+        sensor: &Sensor,
+        world_from_sensor: &Pose,
+        object: u32,
+        (object_from_normal, plain): (DMat3, bool),
+    ) -> Self {
+        let o = &environment.objects()[object as usize];
+        let world_from_image = world_from_sensor.rotation_matrix() * sensor.body_from_image();
+        let image_from_object = world_from_image.transpose() * o.world_from_object.rotation_matrix();
+        let image_from_mesh = image_from_object * o.object_from_mesh.matrix3;
+        let normal_from_mesh = image_from_object * object_from_normal;
         let norm = |m: DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
         Self {
             object,
             image_from_mesh,
             center_in_mesh: o.point_in_mesh(world_from_sensor.translation),
             normal_from_mesh,
+            object_from_normal,
             norms: [image_from_mesh, normal_from_mesh].map(norm),
             mirrors: image_from_mesh.determinant() < 0.0,
             plain,

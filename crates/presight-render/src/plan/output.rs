@@ -1,6 +1,7 @@
 //! The outputs: the table of the images that a prediction can deliver.
 
 use presight_model::error::{Error, Result};
+use presight_model::printable::did_you_mean;
 use presight_model::sensor::Sensor;
 
 /// An image that a prediction can deliver. [`Output::info`] is its row of the table.
@@ -171,7 +172,10 @@ impl std::str::FromStr for Output {
             let what = format!("unknown output {name:?}");
             match name {
                 "depth" => Error::usage(what, "use depth_z (planar, cameras only) or range (along the ray)"),
-                _ => Error::usage(what, format!("choose from {}", Self::WITH_FEATURES.map(Self::name).join(", "))),
+                _ => {
+                    let names = Self::WITH_FEATURES.map(Self::name);
+                    Error::usage(what, format!("{}choose from {}", did_you_mean(name, names), names.join(", ")))
+                }
             }
         })
     }

@@ -3,6 +3,9 @@
 mod folder;
 mod mcap;
 mod sqlite;
+mod write;
+
+pub use write::BagWriter;
 
 use presight_model::error::{Error, ErrorKind, Result};
 use std::collections::BTreeMap;
@@ -10,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// A topic of a bag. One name may stand for several channels of the same type.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Topic {
     /// Its name, `/scan`.
     pub name: String,
@@ -20,8 +23,8 @@ pub struct Topic {
     pub encoding: String,
 }
 
-/// A recorded message.
-#[derive(Clone, Debug)]
+/// A recorded message, or one to write.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Record {
     /// Its topic.
     pub topic: Arc<Topic>,

@@ -1,7 +1,7 @@
 //! `sensor_msgs/msg/Image`, `CompressedImage` and `CameraInfo`.
 
 use super::{Header, Message};
-use crate::cdr::Cursor;
+use crate::cdr::fields;
 use presight_model::error::{Error, Result};
 
 /// An image without compression.
@@ -25,19 +25,9 @@ pub struct Image<'a> {
 
 impl<'a> Message<'a> for Image<'a> {
     const TYPE: &'static str = "sensor_msgs/msg/Image";
-
-    fn read(cursor: &mut Cursor<'a>) -> Result<Self> {
-        Ok(Self {
-            header: Header::read(cursor)?,
-            height: cursor.read()?,
-            width: cursor.read()?,
-            encoding: cursor.read_string()?,
-            is_bigendian: cursor.read_bool()?,
-            step: cursor.read()?,
-            data: cursor.read_bytes()?,
-        })
-    }
 }
+
+fields!(Image<'a> { header, height, width, encoding, is_bigendian, step, data });
 
 impl Image<'_> {
     /// The rows of the image, each of `width` pixels of `N` bytes, without the padding behind them.
@@ -72,11 +62,9 @@ pub struct CompressedImage<'a> {
 
 impl<'a> Message<'a> for CompressedImage<'a> {
     const TYPE: &'static str = "sensor_msgs/msg/CompressedImage";
-
-    fn read(cursor: &mut Cursor<'a>) -> Result<Self> {
-        Ok(Self { header: Header::read(cursor)?, format: cursor.read_string()?, data: cursor.read_bytes()? })
-    }
 }
+
+fields!(CompressedImage<'a> { header, format, data });
 
 /// The calibration of a camera: of the raw image by K and D, and of the rectified one by P.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,25 +89,12 @@ pub struct CameraInfo {
     pub binning: [u32; 2],
     /// Region of interest of the full image: x offset, y offset, height, width; zeros mean all.
     pub roi: [u32; 4],
+    /// True if the region of interest is to be rectified.
+    pub do_rectify: bool,
 }
 
 impl Message<'_> for CameraInfo {
     const TYPE: &'static str = "sensor_msgs/msg/CameraInfo";
-
-    fn read(cursor: &mut Cursor<'_>) -> Result<Self> {
-        let info = Self {
-            header: Header::read(cursor)?,
-            height: cursor.read()?,
-            width: cursor.read()?,
-            distortion_model: cursor.read_string()?,
-            d: cursor.read_sequence()?,
-            k: cursor.read_array()?,
-            r: cursor.read_array()?,
-            p: cursor.read_array()?,
-            binning: cursor.read_array()?,
-            roi: cursor.read_array()?,
-        };
-        cursor.read_bool()?; // do_rectify
-        Ok(info)
-    }
 }
+
+fields!(CameraInfo { header, height, width, distortion_model, d, k, r, p, binning, roi, do_rectify });

@@ -1,8 +1,7 @@
 //! `sensor_msgs/msg/LaserScan`.
 
 use super::{Header, Message};
-use crate::cdr::Cursor;
-use presight_model::error::Result;
+use crate::cdr::fields;
 
 /// A planar scan.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,19 +30,17 @@ pub struct LaserScan {
 
 impl Message<'_> for LaserScan {
     const TYPE: &'static str = "sensor_msgs/msg/LaserScan";
-
-    fn read(cursor: &mut Cursor<'_>) -> Result<Self> {
-        Ok(Self {
-            header: Header::read(cursor)?,
-            angle_min: cursor.read()?,
-            angle_max: cursor.read()?,
-            angle_increment: cursor.read()?,
-            time_increment: cursor.read()?,
-            scan_time: cursor.read()?,
-            range_min: cursor.read()?,
-            range_max: cursor.read()?,
-            ranges: cursor.read_sequence()?,
-            intensities: cursor.read_sequence()?,
-        })
-    }
 }
+
+fields!(LaserScan {
+    header,
+    angle_min,
+    angle_max,
+    angle_increment,
+    time_increment,
+    scan_time,
+    range_min,
+    range_max,
+    ranges,
+    intensities
+});

@@ -1,7 +1,7 @@
 //! `sensor_msgs/msg/PointCloud2`.
 
 use super::{Header, Message};
-use crate::cdr::{Cursor, Primitive};
+use crate::cdr::{Cursor, Field, Primitive, Sink, fields};
 use presight_model::error::{Error, Result};
 
 /// The number format of a field (`PointField.datatype`).
@@ -18,11 +18,21 @@ pub enum Scalar {
     F64,
 }
 
-impl Scalar {
-    fn of(datatype: u8) -> Option<Self> {
-        let all = [Self::I8, Self::U8, Self::I16, Self::U16, Self::I32, Self::U32, Self::F32, Self::F64];
-        all.get(usize::from(datatype).checked_sub(1)?).copied()
+/// `PointField.datatype`: 1 for the first.
+impl<'a> Field<'a> for Option<Scalar> {
+    fn read(cursor: &mut Cursor<'a>) -> Result<Self> {
+        let datatype = usize::from(u8::read(cursor)?);
+        Ok(datatype.checked_sub(1).and_then(|at| Scalar::ALL.get(at)).copied())
     }
+
+    fn write(&self, sink: &mut Sink) {
+        let at = Scalar::ALL.iter().position(|scalar| Some(*scalar) == *self);
+        at.map_or(0, |at| at as u8 + 1).write(sink);
+    }
+}
+
+impl Scalar {
+    const ALL: [Self; 8] = [Self::I8, Self::U8, Self::I16, Self::U16, Self::I32, Self::U32, Self::F32, Self::F64];
 
     /// Its size, bytes.
     pub fn size(self) -> usize {
@@ -86,35 +96,10 @@ pub struct PointCloud2<'a> {
 
 impl<'a> Message<'a> for PointCloud2<'a> {
     const TYPE: &'static str = "sensor_msgs/msg/PointCloud2";
-
-    fn read(cursor: &mut Cursor<'a>) -> Result<Self> {
-        let header = Header::read(cursor)?;
-        let (height, width) = (cursor.read()?, cursor.read()?);
-        // A string with its zero, an offset, a data type and a count.
-        let fields = cursor.read_length(5 + 4 + 1 + 4)?;
-        let fields = (0..fields).map(|_| read_field(cursor)).collect::<Result<_>>()?;
-        Ok(Self {
-            header,
-            height,
-            width,
-            fields,
-            is_bigendian: cursor.read_bool()?,
-            point_step: cursor.read()?,
-            row_step: cursor.read()?,
-            data: cursor.read_bytes()?,
-            is_dense: cursor.read_bool()?,
-        })
-    }
 }
 
-fn read_field(cursor: &mut Cursor<'_>) -> Result<PointField> {
-    Ok(PointField {
-        name: cursor.read_string()?,
-        offset: cursor.read()?,
-        scalar: Scalar::of(cursor.read()?),
-        count: cursor.read()?,
-    })
-}
+fields!(PointField { name, offset, scalar, count });
+fields!(PointCloud2<'a> { header, height, width, fields, is_bigendian, point_step, row_step, data, is_dense });
 
 impl<'a> PointCloud2<'a> {
     /// The points of the cloud.

@@ -1,7 +1,7 @@
 //! `tf2_msgs/msg/TFMessage` and `nav_msgs/msg/Odometry`.
 
 use super::{Header, Message};
-use crate::cdr::Cursor;
+use crate::cdr::{Cursor, Field, Sink, fields};
 use glam::{DQuat, DVec3};
 use presight_model::error::Result;
 use presight_model::geometry::Pose;
@@ -27,24 +27,12 @@ pub struct TFMessage {
 
 impl Message<'_> for TFMessage {
     const TYPE: &'static str = "tf2_msgs/msg/TFMessage";
-
-    fn read(cursor: &mut Cursor<'_>) -> Result<Self> {
-        // Stamp, two strings with their zeros, seven doubles.
-        let count = cursor.read_length(8 + 5 + 5 + 56)?;
-        let transforms = (0..count).map(|_| read_transform(cursor)).collect::<Result<_>>()?;
-        Ok(Self { transforms })
-    }
 }
 
-fn read_transform(cursor: &mut Cursor<'_>) -> Result<TransformStamped> {
-    Ok(TransformStamped {
-        header: Header::read(cursor)?,
-        child_frame_id: cursor.read_string()?,
-        parent_from_child: read_pose(cursor)?,
-    })
-}
+fields!(TransformStamped { header, child_frame_id, parent_from_child });
+fields!(TFMessage { transforms });
 
-/// `nav_msgs/msg/Odometry` without its covariances and twist, which presight does not use.
+/// `nav_msgs/msg/Odometry`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Odometry {
     /// Stamp, and the frame in which the pose is given.
@@ -53,33 +41,37 @@ pub struct Odometry {
     pub child_frame_id: String,
     /// odom_from_child, metres; `None` as in [`TransformStamped::parent_from_child`].
     pub odom_from_child: Option<Pose>,
+    /// Covariance of the pose, row by row: x y z, then rotation about x y z; metres and radians.
+    pub pose_covariance: [f64; 36],
+    /// Velocity of the child in its own axes: metres a second, then radians a second.
+    pub twist: [f64; 6],
+    /// Covariance of the velocity.
+    pub twist_covariance: [f64; 36],
 }
 
 impl Message<'_> for Odometry {
     const TYPE: &'static str = "nav_msgs/msg/Odometry";
-
-    fn read(cursor: &mut Cursor<'_>) -> Result<Self> {
-        let odometry = Self {
-            header: Header::read(cursor)?,
-            child_frame_id: cursor.read_string()?,
-            odom_from_child: read_pose(cursor)?,
-        };
-        cursor.read_array::<f64, 36>()?; // covariance of the pose
-        cursor.read_array::<f64, 6>()?; // twist
-        cursor.read_array::<f64, 36>()?; // covariance of the twist
-        Ok(odometry)
-    }
 }
+
+fields!(Odometry { header, child_frame_id, odom_from_child, pose_covariance, twist, twist_covariance });
 
 /// Maximum deviation of a quaternion's length from 1 that rounding or drift of a publisher explains; tf2 warns from 0.1
 /// on.
 const MAX_QUATERNION_DEVIATION: f64 = 0.1;
 
-/// Position, then quaternion x y z w.
-fn read_pose(cursor: &mut Cursor<'_>) -> Result<Option<Pose>> {
-    let [x, y, z, qx, qy, qz, qw] = cursor.read_array::<f64, 7>()?;
-    let rotation = DQuat::from_xyzw(qx, qy, qz, qw);
-    let is_unit = (rotation.length() - 1.0).abs() <= MAX_QUATERNION_DEVIATION;
-    let translation = DVec3::new(x, y, z);
-    Ok((is_unit && translation.is_finite()).then(|| Pose { translation, rotation: rotation.normalize() }))
+/// Position, then quaternion x y z w; `None` for a pose that is not one, which is written as NaN.
+impl<'a> Field<'a> for Option<Pose> {
+    const MIN_SIZE: usize = 56;
+
+    fn read(cursor: &mut Cursor<'a>) -> Result<Self> {
+        let [x, y, z, qx, qy, qz, qw] = <[f64; 7]>::read(cursor)?;
+        let rotation = DQuat::from_xyzw(qx, qy, qz, qw);
+        let is_unit = (rotation.length() - 1.0).abs() <= MAX_QUATERNION_DEVIATION;
+        let translation = DVec3::new(x, y, z);
+        Ok((is_unit && translation.is_finite()).then(|| Pose { translation, rotation: rotation.normalize() }))
+    }
+
+    fn write(&self, sink: &mut Sink) {
+        self.map_or([f64::NAN; 7], |pose| pose.to_array()).write(sink);
+    }
 }

@@ -24,8 +24,12 @@ pub enum Measured {
 impl Measured {
     /// The measurement in a topic; the error says why presight does not read it.
     fn of(topic: &TopicSurvey) -> Result<Self, String> {
-        let first = topic.first.as_deref();
-        match topic.topic.message_type.as_str() {
+        Self::of_message(&topic.topic.message_type, topic.first.as_deref())
+    }
+
+    /// The measurement in messages of a type, of which the first is known.
+    pub(super) fn of_message(message_type: &str, first: Option<&[u8]>) -> Result<Self, String> {
+        match message_type {
             LaserScan::TYPE => Ok(Self::Scan),
             PointCloud2::TYPE => Ok(Self::Points),
             Image::TYPE => match first.map(Image::decode) {

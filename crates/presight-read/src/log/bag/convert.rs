@@ -3,7 +3,7 @@
 use super::choice::Measured;
 use crate::camera_info;
 use crate::cloud::{PointTimes, ScanStamp, time_field};
-use crate::log::{BagOptions, ray_times};
+use crate::log::{BagOptions, document, ray_times};
 use crate::picture::Picture;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
@@ -14,7 +14,6 @@ use presight_model::sensor::{
     Angles, Geometry, RayTimes, Scanner, Sensor, SensorSpec, StampAt, body_from_optical_rotation,
 };
 use presight_ros::message::{CameraInfo, CompressedImage, Image, LaserScan, Message, PointCloud2, Scalar};
-use std::fmt::Write;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Turns the messages of one topic into frames.
@@ -192,8 +191,8 @@ impl Converter {
         let Some(info) = info else {
             return Err(Error::invalid("no CameraInfo came before this image", "record the CameraInfo of the camera"));
         };
-        let (spec, notices) = camera_info::parse(&yaml_of(info), &info.header.frame_id, None, self.is_rectified)?;
-        notices.into_iter().filter(|n| !n.starts_with("R and P")).for_each(|notice| self.add_notice(notice));
+        let (spec, notices) = camera_info::of_message(info, self.is_rectified)?;
+        notices.into_iter().for_each(|notice| self.add_notice(notice));
         let class = if self.measured == Measured::Grey { "video" } else { "laser" };
         let sensor =
             self.sensor(&info.header.frame_id, class, spec.geometry, None, self.given_times().unwrap_or_default())?;
@@ -235,12 +234,10 @@ fn azimuths(scan: &LaserScan) -> Result<Angles> {
         return Err(wrong(format!("{count} ranges do not fit the angles from {min} to {max} in steps of {step}")));
     }
     // Rounded to f32 the step is less precise than both ends.
-    let start_deg = crate::log::document::round_degrees(min);
-    let step_deg = if off.abs() < 0.5 && count > 1 {
-        (crate::log::document::round_degrees(max) - start_deg) / intervals
-    } else {
-        step.to_degrees()
-    };
+    if off.abs() < 0.5 && count > 1 {
+        return Ok(document::azimuths(min, max, count as u32, true));
+    }
+    let (start_deg, step_deg) = (document::round_degrees(min), step.to_degrees());
     Ok(Angles::Uniform { start_deg, step_deg, count: count as u32 })
 }
 
@@ -294,19 +291,6 @@ fn compressed_depth(image: &CompressedImage<'_>) -> Result<((u32, u32), Vec<f32>
     let (a, b) = (parameter(0), parameter(4));
     let metres = |value: u16| if value == 0 { f32::NAN } else { a / (f32::from(value) - b) };
     Ok((size, values.into_iter().map(metres).collect()))
-}
-
-/// The message as `ros2 topic echo` prints it.
-fn yaml_of(info: &CameraInfo) -> String {
-    let CameraInfo { width, height, distortion_model, d, k, r, p, binning: [bx, by], roi, .. } = info;
-    let [x_offset, y_offset, roi_height, roi_width] = roi;
-    // Rust prints an f64 with all digits that matter.
-    let mut text = format!("width: {width}\nheight: {height}\nk: {k:?}\nr: {r:?}\np: {p:?}\n");
-    let model = if distortion_model.is_empty() { "plumb_bob" } else { distortion_model };
-    let _ = write!(text, "distortion_model: {model:?}\nd: {d:?}\nbinning_x: {bx}\nbinning_y: {by}\n");
-    let _ =
-        writeln!(text, "roi: {{x_offset: {x_offset}, y_offset: {y_offset}, height: {roi_height}, width: {roi_width}}}");
-    text
 }
 
 /// robot_from_sensor in body axes from base_from_frame: images have optical frames (REP-103).

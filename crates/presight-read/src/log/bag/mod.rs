@@ -13,9 +13,15 @@
 mod choice;
 mod convert;
 mod drive;
+mod live;
 mod report;
 mod scan_motion;
+mod stream;
 
 pub use choice::{Choice, Measured};
 pub use drive::BagFrames;
+pub use live::LiveFrames;
 pub use report::BagReport;
+
+/// Seconds per nanosecond.
+const NANO: f64 = 1e-9;

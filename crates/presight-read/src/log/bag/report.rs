@@ -1,5 +1,6 @@
 //! A report of a bag: its topics, frames and times, and the parts that presight takes from it.
 
+use super::NANO;
 use super::choice::{Choice, Measured, measured_topics};
 use crate::log::BagOptions;
 use presight_model::error::{Error, ErrorKind, Result};
@@ -16,8 +17,6 @@ pub struct BagReport {
     choice: Result<Choice>,
 }
 
-/// Seconds per nanosecond.
-const NANO: f64 = 1e-9;
 /// A gap in a topic is reported if it is this many times longer than the mean distance of its messages. A recorder that
 /// drops every other message makes gaps of 2.
 const NOTABLE_GAP: f64 = 5.0;

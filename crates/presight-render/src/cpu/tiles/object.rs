@@ -1,7 +1,7 @@
 //! Objects in the view of a tile: a tree, with the tile's axes and the sensor in its frame.
 
 use super::super::instance::RayInstance;
-use crate::plan::FramePlan;
+use crate::plan::{FramePlan, Instance};
 use glam::{DMat3, DVec3};
 use presight_model::geometry::{Aabb, Pose};
 use presight_model::index::{ObjectTree, RayNode, RayTree};
@@ -41,7 +41,9 @@ const PLACE_MARGIN: f32 = 4e-6;
 pub(super) struct PlacedObject<'a> {
     pub at: RayInstance<'a>,
     pub tree: &'a RayTree,
-    image_from_mesh: DMat3,
+    /// The bundle of rays from whose pose it is seen.
+    pub bundle: u32,
+    instance: Instance,
     /// Upper bounds of the factor by which vectors grow from the mesh to the image, and of the difference between two
     /// such factors.
     stretch: [f32; 2],
@@ -64,7 +66,7 @@ pub(super) enum Placing<'a> {
 impl<'a> Placing<'a> {
     #[cold]
     #[inline(never)]
-    pub fn new(plan: &'a FramePlan, world_from_sensor: &Pose, object: u32) -> Self {
+    pub fn new(plan: &'a FramePlan, (bundle, world_from_sensor): (u32, &Pose), object: u32) -> Self {
         let environment = plan.environment();
         let mesh = &environment.objects()[object as usize].mesh;
         let Some(absent) = environment.absent_parts(object, &plan.sensor.spec().class) else { return Self::Unseen };
@@ -73,20 +75,37 @@ impl<'a> Placing<'a> {
         }
         let Some(tree) = mesh.known_ray_tree() else { return Self::Lacking };
         let instance = plan.instance_from(world_from_sensor, object);
-        let [length, inverse] = instance.norms.map(|norm| norm * (1.0 + 1e-6));
-        // Both norms of a rotation are the root of three.
-        let uniform = length * inverse <= 3.0 + 1e-5;
-        let stretch = if uniform { [length / 3f64.sqrt(), 1.0] } else { [length, length * inverse] };
         let at = RayInstance::new(plan, &instance);
         Self::Placed(Box::new(PlacedObject {
             plain: at.plain && absent.is_empty(),
             at,
             tree,
-            image_from_mesh: instance.image_from_mesh,
+            bundle,
             mirrors: instance.mirrors,
-            stretch: stretch.map(|x| x as f32),
+            stretch: stretch_of(&instance),
+            instance,
             absent,
         }))
+    }
+}
+
+/// See [`PlacedObject::stretch`].
+fn stretch_of(instance: &Instance) -> [f32; 2] {
+    let [length, inverse] = instance.norms.map(|norm| norm * (1.0 + 1e-6));
+    // Both norms of a rotation are the root of three.
+    let uniform = length * inverse <= 3.0 + 1e-5;
+    let stretch = if uniform { [length / 3f64.sqrt(), 1.0] } else { [length, length * inverse] };
+    stretch.map(|x| x as f32)
+}
+
+impl<'a> PlacedObject<'a> {
+    /// Sees it from the pose of another bundle of rays.
+    #[inline(never)]
+    pub fn turn_to(&mut self, plan: &'a FramePlan, (bundle, world_from_sensor): (u32, &Pose)) {
+        self.bundle = bundle;
+        self.instance = self.instance.again(plan.environment(), &plan.sensor, world_from_sensor);
+        self.at = RayInstance::new(plan, &self.instance);
+        self.stretch = stretch_of(&self.instance);
     }
 }
 
@@ -181,7 +200,7 @@ impl<'a> TreeView<'a> {
     pub fn of_object(placed: &PlacedObject<'a>, number: u32, tile: &RayTile, margins: Margins) -> Self {
         let tree = placed.tree;
         let centre = placed.at.center - tree.origin;
-        let view = Self::new(&tree.nodes, tile, &placed.image_from_mesh, centre, tree.reach, margins);
+        let view = Self::new(&tree.nodes, tile, &placed.instance.image_from_mesh, centre, tree.reach, margins);
         let [stretch, apart] = placed.stretch;
         Self { object: number, margin: view.margin * apart, places: view.places * apart, stretch, ..view }
     }

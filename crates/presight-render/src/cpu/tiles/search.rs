@@ -119,7 +119,7 @@ pub(super) struct Objects<'a> {
     /// The pose of the current rays.
     world_from_sensor: Pose,
     image_from_world: DMat3,
-    /// By object of the environment: the last frame and bundle that placed it, and its number.
+    /// By object of the environment: the last frame that placed it, and its number.
     known: Vec<(u64, u32)>,
     frame: u64,
     bundle: u32,
@@ -138,7 +138,7 @@ impl<'a> Objects<'a> {
             world_from_sensor: plan.world_from_sensor,
             image_from_world: image_from_world(plan, &plan.world_from_sensor),
             known,
-            frame: frame << 32,
+            frame,
             bundle: u32::MAX,
             margins,
             placed: Vec::new(),
@@ -151,14 +151,13 @@ impl<'a> Objects<'a> {
         self.known
     }
 
-    /// Takes the pose of a bundle of rays. Returns true if objects have to be placed anew.
+    /// Takes the pose of a bundle of rays. Returns true if polygons have to be set up anew.
     #[inline(always)]
     pub fn turn_to(&mut self, bundle: u32) -> bool {
         let Some(poses) = self.plan.bundles().filter(|_| bundle != self.bundle) else { return false };
         self.bundle = bundle;
         self.world_from_sensor = poses.poses()[bundle as usize];
         self.image_from_world = image_from_world(self.plan, &self.world_from_sensor);
-        self.placed.clear();
         true
     }
 
@@ -166,14 +165,21 @@ impl<'a> Objects<'a> {
     #[inline(always)]
     fn number(&mut self, object: u32) -> Option<u32> {
         let (frame, number) = self.known[object as usize];
-        let number = if frame == self.frame | u64::from(self.bundle) { number } else { self.place(object) };
-        (number != NONE).then_some(number)
+        let number = if frame == self.frame { number } else { self.place(object) };
+        if number == NONE {
+            return None;
+        }
+        let placed = &mut self.placed[number as usize];
+        if placed.bundle != self.bundle {
+            placed.turn_to(self.plan, (self.bundle, &self.world_from_sensor));
+        }
+        Some(number)
     }
 
     #[cold]
     #[inline(never)]
     fn place(&mut self, object: u32) -> u32 {
-        let number = match Placing::new(self.plan, &self.world_from_sensor, object) {
+        let number = match Placing::new(self.plan, (self.bundle, &self.world_from_sensor), object) {
             Placing::Placed(placed) => {
                 self.placed.push(*placed);
                 self.placed.len() as u32 - 1
@@ -184,7 +190,7 @@ impl<'a> Objects<'a> {
             }
             Placing::Unseen => NONE,
         };
-        self.known[object as usize] = (self.frame | u64::from(self.bundle), number);
+        self.known[object as usize] = (self.frame, number);
         number
     }
 }
