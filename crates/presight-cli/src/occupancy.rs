@@ -143,7 +143,7 @@ fn notices(args: &Args, grid: &Grid) -> Vec<String> {
     let (scene, is_free) = (args.scene.display(), grid.count(Cell::Free) > 0);
     if is_free && grid.levels.len() > 1 && args.level.is_none() && args.floor.is_none() {
         let this = grid.level.map_or("another level".to_owned(), |level| format!("level {level}"));
-        lines.push(format!("notice: {scene}: this grid is of {this}; --level N takes another one: {list}"));
+        lines.push(format!("note: {scene}: this grid is of {this}; --level N takes another one: {list}"));
     }
     if !is_free && grid.levels.is_empty() {
         lines.push(format!(

@@ -11,7 +11,8 @@ use std::path::Path;
 
 const ROOM: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb");
 /// A drive of three poses, with stamps of nanoseconds.
-const DRIVE: &str = "1700000000.123456789 1.2 1.4 0.9 0 0 0 1\n1700000000.223456789 1.25 1.4 0.9 0 0 0.05 0.99874921777\n\
+const DRIVE: &str = "1700000000.123456789 1.2 1.4 0.9 0 0 0 1\n\
+    1700000000.223456789 1.25 1.4 0.9 0 0 0.05 0.99874921777\n\
     1700000000.323456789 1.3 1.42 0.9 0 0 0.1 0.99498743710\n";
 
 fn frames(path: &Path, topic: &str) -> Vec<Observation> {

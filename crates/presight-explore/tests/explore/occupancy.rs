@@ -241,3 +241,23 @@ fn a_keepout_mask_is_of_what_is_uncertain() {
     assert_eq!(mark("crate", MarkKind::Absent), 0);
     assert_eq!(mark("slab", MarkKind::Uncertain), 1200);
 }
+
+/// A hall of 8 x 6 m on a slab of 0.3 m, with walls beside the slab and a table. The numbers of cells are those of a
+/// program of its own, by clipping and separating axes.
+#[test]
+fn a_hall_on_a_slab_has_the_cells_of_another_program() {
+    let mut environment = empty();
+    for (name, min, max) in [
+        ("floor", [0.0, 0.0, -0.3], [8.0, 6.0, 0.0]),
+        ("south", [0.0, -0.1, 0.0], [8.0, 0.0, 3.0]),
+        ("north", [0.0, 6.0, 0.0], [8.0, 6.1, 3.0]),
+        ("west", [-0.1, 0.0, 0.0], [0.0, 6.0, 3.0]),
+        ("east", [8.0, 0.0, 0.0], [8.1, 6.0, 3.0]),
+        ("table", [4.2, 1.6, 0.725], [5.8, 2.4, 0.775]),
+    ] {
+        let mesh = cuboid(Vec3::from(min), Vec3::from(max));
+        environment.insert(NewObject::new(name, Pose::IDENTITY, mesh.into())).unwrap();
+    }
+    let grid = Grid::of(&environment, &GridOptions::default()).unwrap();
+    assert_eq!((grid.floor, grid.count(Cell::Free), grid.count(Cell::Occupied)), (0.0, 18_032, 2_868));
+}

@@ -14,7 +14,8 @@ const NOTHING: f64 = 1e-12;
 /// metres.
 pub(super) fn uncovered<'a>(outline: &[DVec2], polygons: impl IntoIterator<Item = &'a [DVec2]>) -> Vec<Vec<DVec2>> {
     let mut rest = vec![outline.to_vec()];
-    for polygon in polygons {
+    // A polygon that is cut down to a point or a line covers nothing.
+    for polygon in polygons.into_iter().filter(|polygon| area(polygon) > NOTHING) {
         let mut next = Vec::with_capacity(rest.len());
         for piece in rest {
             subtract(piece, polygon, &mut next);
@@ -85,6 +86,7 @@ mod tests {
         assert!((left(&square, &frame) - (0.2 - SEAM) * (0.2 - SEAM)).abs() < 1e-9);
         assert_eq!(left(&square, &[rectangle([2.0, 0.0], [3.0, 1.0])]), 1.0);
         assert_eq!(left(&square, &[]), 1.0);
+        assert_eq!(left(&square, &[vec![DVec2::splat(0.5); 3]]), 1.0);
     }
 
     /// Random triangles against points: a point is in a remainder exactly if it is in no triangle.
