@@ -1,4 +1,5 @@
-//! Clouds of lidars on a robot that drives, as drivers write them: their points lie on the walls once the motion is undone.
+//! Clouds of lidars on a robot that drives, as drivers write them: their points lie on the walls once the motion is
+//! undone.
 #![allow(clippy::print_stdout, reason = "tests print their figures on request")]
 
 use glam::DVec3;

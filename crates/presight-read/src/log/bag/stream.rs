@@ -152,8 +152,7 @@ impl Stream {
         };
         if !reaches {
             self.converter.add_notice(
-                "the odometry does not reach over every scan: the motion between its two poses nearest to a scan is \
-                 taken",
+                "the odometry does not reach over every scan: the velocity between the two nearest poses is taken",
             );
         }
         Ok(Some(motion))
