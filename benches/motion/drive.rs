@@ -26,7 +26,7 @@ pub struct Scan {
     /// A scan at the pose of the stamp.
     pub standing: Frame,
     /// A scan of a robot that stands where the driving one is in the middle of its scan.
-    pub in_the_middle: Frame,
+    pub in_the_middle: (Frame, Pose),
     /// Poses during the scan by seconds after the stamp, world.
     path: Vec<(f64, Pose)>,
 }
@@ -104,7 +104,8 @@ pub fn drive(environment: &Environment, sensor: &Sensor, count: usize, seed: u64
         let driving = caster.frame(&|t| route.at(t), stamp, None);
         caster.times = RayTimes::AtOnce;
         let standing = caster.frame(&|_| pose, stamp, None);
-        let in_the_middle = caster.frame(&|_| route.at(stamp + 0.5 * TURN_S), stamp, None);
+        let middle = route.at(stamp + 0.5 * TURN_S);
+        let in_the_middle = (caster.frame(&|_| middle, stamp, None), middle);
         let path = (-12..=12).map(|i| 0.01 * f64::from(i)).map(|t| (t, route.at(stamp + t))).collect();
         Scan { pose, driving, standing, in_the_middle, path }
     };

@@ -48,13 +48,21 @@ impl SensorRays {
 
     /// Column and row of a point in the sensor's body axes; `None` outside of the image.
     pub fn project(&self, p: DVec3) -> Option<[f32; 2]> {
-        let (u, v) = self.sensor.project_nearly((self.image_from_body * p).as_vec3())?;
+        let in_image = self.image_from_body * p;
+        let (u, v) = if self.is_table {
+            // Between the rays: the nearest one alone would move cells by half a pixel.
+            self.sensor.project(in_image).map(|(u, v)| (u as f32, v as f32))?
+        } else {
+            self.sensor.project_nearly(in_image.as_vec3())?
+        };
         if !(u.is_finite() && v.is_finite()) {
             return None;
         }
         if self.is_table {
             // The nearest ray of a table may be far from a point that the table does not see.
-            let at = v as usize * self.width + u as usize;
+            let (column, row) =
+                (u.round().clamp(0.0, (self.width - 1) as f32), v.round().clamp(0.0, (self.height - 1) as f32));
+            let at = row as usize * self.width + column as usize;
             let angle = self.rays[at].angle_between(p.as_vec3());
             let [across, down] = self.spacing[at];
             return (angle <= across.hypot(down)).then_some([u, v]);
