@@ -1,8 +1,8 @@
 //! Moving scans and rays with origins against the same sensor standing: `cargo bench --bench bundles -- [SCENE...]`.
 //!
-//! From plan to all default images in memory, in turns in one process, by its CPU time on one thread: least of `PRESIGHT_REPEATS` (15)
-//! frames at each of `PRESIGHT_POSES` (5) free poses, the median of the poses. The robot drives at 1.5 m/s and 1 rad/s. A sensor that
-//! stands has one origin; trees and tiles are made before.
+//! From plan to all default images in memory, in turns in one process, by its CPU time on one thread: the minimum of
+//! `PRESIGHT_REPEATS` (15) frames at each of `PRESIGHT_POSES` (5) free poses, and the median of the poses. The robot
+//! drives at 1.5 m/s and 1 rad/s. A standing sensor has one origin. Trees and tiles are built before.
 #![expect(clippy::print_stdout, reason = "a bench prints its table")]
 
 #[allow(dead_code, reason = "other benches share it")]

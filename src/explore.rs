@@ -34,3 +34,5 @@
 pub use presight_explore::occupancy::{Cell, Grid, GridOptions};
 #[doc(inline)]
 pub use presight_explore::{Areas, Exploration, ExploreOptions, ExploredObject, Follower, FoundPose, Known, Views};
+#[doc(inline)]
+pub use presight_model::floor::Level;

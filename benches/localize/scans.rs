@@ -1,7 +1,8 @@
-//! Lidars that turn while the robot drives: `cargo bench --bench localize -- scans [DRIVES] [SCENE,..] [CASE,..] [SENSOR,..]`. The
-//! scans come from the test kit's own ray caster, 25 turns of 0.1 s a drive, up to 2 m/s and 1.5 rad/s with changing speed; the start is
-//! exact and stated to 5 cm and 2 degrees. Each row is the mean over the drives. `-- turns [DRIVES]` counts how often a drive of scans
-//! measured at once is said to turn, and `-- turns learn` shows what is learnt of 18 kinds of logs.
+//! Lidars that turn while the robot drives: `cargo bench --bench localize -- scans [DRIVES] [SCENE,..] [CASE,..]
+//! [SENSOR,..]`. The scans come from the test kit's own ray caster, 25 turns of 0.1 s a drive, up to 2 m/s and 1.5
+//! rad/s with changing speed; the start is exact and stated to 5 cm and 2 degrees. Each row is the mean over the
+//! drives. `-- turns [DRIVES]` counts how often a drive of scans measured at once is said to turn, and `-- turns learn`
+//! shows what is learnt of 18 kinds of logs.
 
 use super::single;
 use cpu_time::ProcessTime;

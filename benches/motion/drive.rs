@@ -25,6 +25,8 @@ pub struct Scan {
     driving: Frame,
     /// A scan at the pose of the stamp.
     pub standing: Frame,
+    /// A scan of a robot that stands where the driving one is in the middle of its scan.
+    pub in_the_middle: Frame,
     /// Poses during the scan by seconds after the stamp, world.
     path: Vec<(f64, Pose)>,
 }
@@ -102,8 +104,9 @@ pub fn drive(environment: &Environment, sensor: &Sensor, count: usize, seed: u64
         let driving = caster.frame(&|t| route.at(t), stamp, None);
         caster.times = RayTimes::AtOnce;
         let standing = caster.frame(&|_| pose, stamp, None);
+        let in_the_middle = caster.frame(&|_| route.at(stamp + 0.5 * TURN_S), stamp, None);
         let path = (-12..=12).map(|i| 0.01 * f64::from(i)).map(|t| (t, route.at(stamp + t))).collect();
-        Scan { pose, driving, standing, path }
+        Scan { pose, driving, standing, in_the_middle, path }
     };
     let between = |k: usize| route.at(START_S + EVERY_S * (k as f64 + 0.5)) * sensor.spec().mount;
     ((0..count).map(scan).collect(), (0..count).map(between).collect())

@@ -30,7 +30,7 @@ fn scene(name: &str, world: &World, count: usize) {
     let (sensor, real) = (drive::lidar(512, 64), world.environment());
     let (scans, between) = drive::drive(real, &sensor, count, 1);
     let standing = frames(&scans, |scan| scan.standing.clone());
-    let letters = supervised(world, &standing);
+    let letters = supervised(world, &frames(&scans, |scan| scan.in_the_middle.clone()));
     let row = |what: &str, of: &[figures::At]| {
         let clock = Instant::now();
         let (share, cells) = (confirmed(world, of), differing(&letters, &supervised(world, of)));

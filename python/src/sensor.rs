@@ -226,7 +226,12 @@ impl Sensor {
             let (other, values) = numbers::<f32>(given, "times")?;
             let wanted = &shape[..shape.len() - 1];
             if other != wanted {
-                return Err(usage(py, "times", format!("shape {other:?}"), format!("give {wanted:?}, one for each ray")));
+                return Err(usage(
+                    py,
+                    "times",
+                    format!("shape {other:?}"),
+                    format!("give {wanted:?}, one for each ray"),
+                ));
             }
             spec = spec.with_times(RayTimes::Listed(values.into()));
         }

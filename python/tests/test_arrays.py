@@ -24,8 +24,11 @@ def outputs_of(sensor):
     return (*IMAGES, "depth_z") if camera else IMAGES
 
 
-@pytest.mark.parametrize("backend", ["cpu", "gpu"])
-@pytest.mark.parametrize("sensor", presight.Sensor.presets())
+# The GPU engine draws rays from one point.
+ONE_CENTRE = [name for name in presight.Sensor.presets() if not presight.Sensor.load(name).origins().any()]
+
+
+@pytest.mark.parametrize("sensor, backend", [(name, "cpu") for name in presight.Sensor.presets()] + [(name, "gpu") for name in ONE_CENTRE])
 def test_arrays_equal_the_files_of_the_command(tmp_path, room_file, poses, sensor, backend):
     if backend == "gpu" and command("predict", room_file, "--sensor", "laser-scanner", "--pose", "0,0,0,0,0,0",
                                     "--backend", "gpu").returncode == 3:

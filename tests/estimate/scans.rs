@@ -1,4 +1,5 @@
-//! Scans that take time: what the first ones say of a robot that drives already, and what is learnt of times that nobody states.
+//! Scans that take time: what the first ones say of a robot that drives already, and what is learnt of times that
+//! nobody states.
 
 use super::changed::hall;
 use super::*;
@@ -78,8 +79,9 @@ fn turning(turn_s: f64, stamp: StampAt) -> RayTimes {
     RayTimes::turning(turn_s, stamp)
 }
 
-/// The start is exact, and the motion unknown: the first scans themselves show it. A point at the end of a scan of 0.1 s is off by
-/// 7.5 cm and 4 degrees at 1.5 m/s and 1.5 rad/s. A twist in the axes of the world would point elsewhere by the heading.
+/// The start is exact, and the motion unknown: the first scans themselves show it. A point at the end of a scan of 0.1
+/// s is off by 7.5 cm and 4 degrees at 1.5 m/s and 1.5 rad/s. A twist in the axes of the world would point elsewhere by
+/// the heading.
 #[test]
 fn the_first_scan_of_a_driving_robot_tells_its_motion() {
     for seed in [3, 4] {
@@ -107,8 +109,8 @@ fn the_first_scan_of_a_driving_robot_tells_its_motion() {
     }
 }
 
-/// Nothing is stated, the wrong direction, and the wrong place of the stamp; the note says what to write. Stated rightly there is none,
-/// and none for scans that are measured at once.
+/// Nothing is stated, the wrong direction, and the wrong place of the stamp; the note says what to write. Stated
+/// rightly there is none, and none for scans that are measured at once.
 #[test]
 fn the_times_of_a_scan_are_learnt() {
     let cases = [
@@ -135,7 +137,8 @@ fn the_times_of_a_scan_are_learnt() {
     }
 }
 
-/// A log that does not say that its scans take 0.1 s: the poses are those of the middles of the scans, and the covariances know it.
+/// A log that does not say that its scans take 0.1 s: the poses are those of the middles of the scans, and the
+/// covariances know it.
 #[test]
 fn a_scan_of_unknown_times_has_a_wide_covariance() {
     let mut drive = Drive::new(turning(0.1, StampAt::First), RayTimes::AtOnce, 6);

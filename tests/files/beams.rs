@@ -2,9 +2,12 @@
 //! itself.
 
 use glam::{DMat4, DVec3, DVec4};
+use presight_model::geometry::{Pose, SensorPose};
 use presight_model::sensor::{Geometry, RayTable, Sensor, SensorSpec};
+use presight_model::world::World;
+use presight_predict::{Backend, Options, Predictor, Request};
 use presight_read::{SensorOptions, beams, load_sensor, load_sensor_with};
-use presight_testkit::data;
+use presight_testkit::{data, scenes};
 use serde_json::Value;
 use std::path::PathBuf;
 
@@ -455,5 +458,41 @@ fn beam_tables_are_written_as_they_are_read() {
             assert_eq!(presight_read::sensor_toml::parse(&text, "", None).unwrap(), *sensor.spec(), "{text}");
             assert_eq!(table(sensor.spec()).beams().unwrap().is_destaggered, destagger);
         }
+    }
+}
+
+/// In a closed room the points that the makers' formulas give for the predicted ranges lie on its walls, in every
+/// pixel, and so do the points of the sensor. With offsets turned back many are off the walls.
+#[test]
+fn predicted_ranges_are_those_that_the_makers_measure() {
+    let (least, most) = (DVec3::new(-5.0, -4.0, 0.0), DVec3::new(5.0, 4.0, 3.0));
+    let world = World::new(scenes::room(1, 0));
+    let world_from_sensor = Pose::from_xyz_rpy(DVec3::new(0.7, -0.4, 1.2), 0.03, -0.05, 0.6);
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu)).unwrap();
+    let off_walls = |p_in_sensor: DVec3| {
+        let p = world_from_sensor.transform_point(p_in_sensor);
+        (p - least).abs().min((most - p).abs()).min_element()
+    };
+    for path in files("ouster", "json") {
+        let ouster = Ouster::of(&std::fs::read_to_string(&path).unwrap());
+        let (sensor, _) = load_sensor(path.to_str().unwrap()).unwrap();
+        let pose = SensorPose::new(world_from_sensor);
+        let seen = predictor.predict(&world, &sensor, &pose, &Request::default()).unwrap().images;
+        let (mut worst, mut turned_back, mut rays) = ([0.0f64; 2], 0, 0);
+        for (i, range) in seen.range.iter().enumerate() {
+            let (column, row) = (i as u32 % sensor.width(), i as u32 / sensor.width());
+            if !ouster.is_in_window(column) {
+                assert!(range.is_nan(), "{}: {column} {row}: {range}", path.display());
+                continue;
+            }
+            rays += 1;
+            let range = f64::from(*range);
+            let at = |planted| off_walls(ouster.point(column, row as usize, range, planted));
+            let own = off_walls(point(&sensor, column, row, range).unwrap());
+            worst = [worst[0].max(at(Planted::Nothing)), worst[1].max(own)];
+            turned_back += usize::from(at(Planted::OffsetsTurnedBack) > 1e-4);
+        }
+        assert!(rays > 0 && worst.iter().all(|off| *off < 1e-4), "{}: {worst:?} m", path.display());
+        assert!(2 * turned_back > rays, "{}: {turned_back} of {rays}", path.display());
     }
 }

@@ -1,4 +1,5 @@
-//! Clouds of lidars on a robot that drives, as drivers write them: their points lie on the walls once the motion is undone.
+//! Clouds of lidars on a robot that drives, as drivers write them: their points lie on the walls once the motion is
+//! undone.
 #![allow(clippy::print_stdout, reason = "tests print their figures on request")]
 
 use glam::DVec3;
@@ -42,7 +43,8 @@ fn clouds_of_a_moving_robot_lie_on_the_walls() {
         // The second scan begins at the last transform.
         assert!(notices.contains("does not reach over every scan"), "{name}: {notices}");
         assert_eq!(frames.len(), 2);
-        for o in &frames {
+        // Beyond the last transform its velocity is extended, but the robot accelerates.
+        for (o, max_off) in frames.iter().zip([0.05, 0.3]) {
             let robot = o.reference.unwrap().world_from_robot();
             let interval = o.frame.sensor().scan_interval();
             assert!(interval[0] == 0.0 && (0.0995..0.0998).contains(&interval[1]), "{interval:?}");
@@ -54,12 +56,13 @@ fn clouds_of_a_moving_robot_lie_on_the_walls() {
                 100.0 * still,
                 100.0 * raw
             );
-            assert!(still < 0.01 && raw > 0.25, "{name}: {still} {raw}");
+            assert!(still < max_off && raw > 0.5, "{name}: {still} {raw}");
             // Planted: the robot's twist along the world's axes.
             let Some(ScanMotion::Twist(twist)) = o.frame.scan_motion() else { panic!("{:?}", o.frame.scan_motion()) };
             let in_world = Twist::new(robot.rotation * twist.linear, robot.rotation * twist.angular);
             let planted = o.frame.clone().with_scan_motion(ScanMotion::Twist(in_world)).deskewed(0.0).unwrap();
-            assert!(share_off(&caster, &planted, &robot) > 0.05, "{name}");
+            let planted = share_off(&caster, &planted, &robot);
+            assert!(planted > still + 0.08, "{name}: {planted}, {still} by the true twist");
         }
     }
 }

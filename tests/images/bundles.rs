@@ -237,9 +237,9 @@ fn bundles_of_one_pose_have_the_bits_of_one_bundle() {
     }
 }
 
-/// The room's wall ahead, at x = 5 m, and the one on the left, at y = 4 m, from a robot in its middle. By hand: a beam at
-/// the azimuth a, t seconds after the stamp, starts at x = v t and sees the wall ahead at (5 - v t) / cos a, the left one
-/// at 4 / sin a. On a robot that turns at w about the middle it points along a + w t.
+/// The room's wall ahead, at x = 5 m, and the one on the left, at y = 4 m, from a robot in its middle. By hand: a beam
+/// at the azimuth a, t seconds after the stamp, starts at x = v t and sees the wall ahead at (5 - v t) / cos a, the left
+/// one at 4 / sin a. On a robot that turns at w about the middle it points along a + w t.
 #[test]
 fn walls_while_driving_and_turning() {
     let world = scenes::room_world(1, 0);
@@ -292,7 +292,7 @@ fn a_circle_of_origins_in_a_cylinder() {
         assert!((f64::from(*range) - 1.5 / off(i).cos()).abs() < 1e-6, "{i}: {range}");
     }
     let points = PointCloud::new(&images, &sensor, &SensorPose::IDENTITY, PointsFrame::Sensor).unwrap();
-    assert!(points.positions().iter().all(|p| (p.length() - 2.0).abs() < 1e-5));
+    assert!(points.positions().iter().all(|p| (p.length() - 2.0).abs() < 2e-5));
 }
 
 /// Points deskewed to any moment lie on the model within the rounding of ranges; as sensed they do not.
@@ -340,6 +340,6 @@ fn what_needs_one_pose_is_refused() {
     let angles = Angles::Listed(vec![0.0]);
     let scanner = Scanner { azimuth: angles.clone(), elevation: angles, beam_height_deg: None };
     let still = Sensor::new(SensorSpec::new("still", "laser", Geometry::Scanner(scanner))).unwrap();
-    let at_once = Request::default().with_motion(ScanMotion::Twist(twist())).with_deadline(10 * deadline);
-    assert!(predictor.predict(&world, &still, &SensorPose::IDENTITY, &at_once).is_ok(), "one time, one pose");
+    let at_once = Request::default().with_motion(ScanMotion::Twist(twist())).with_deadline(deadline);
+    assert!(at_once.check(&still).is_ok(), "one time, one pose");
 }

@@ -52,7 +52,7 @@ fn verdicts_of_a_driving_robot_are_those_of_a_standing_one() {
 #[test]
 fn cells_ahead_of_a_driving_robot_are_those_of_a_standing_one() {
     let (world, _, scans, _) = driven(8, 2);
-    let standing = supervised(&world, &frames(&scans, |scan| scan.standing.clone()));
+    let standing = supervised(&world, &frames(&scans, |scan| scan.in_the_middle.clone()));
     let off = |told: Told| differing(&standing, &supervised(&world, &frames(&scans, |scan| scan.told(told))));
     let (driving, unknown) = (off(Told::Truth), off(Told::Nothing));
     println!("cells that differ: {driving:.4}, without the motion {unknown:.4}");

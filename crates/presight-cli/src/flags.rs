@@ -10,6 +10,7 @@ const WORDS: &[(&str, &str)] = &[
     ("`Existing::Replace`", "--replace"),
     ("`GridOptions::cell`", "--cell"),
     ("`GridOptions::from_height`", "--from-height"),
+    ("`GridOptions::slope_deg`", "--slope"),
     ("`GridOptions::to_height`", "--to-height"),
     ("`ImportOptions::scale`", "--scale"),
     ("`ImportOptions::up`", "--up"),

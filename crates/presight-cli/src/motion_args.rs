@@ -1,4 +1,4 @@
-//! Flags for the motion of the robot during a scan.
+//! Flags that state the motion of the robot during a scan.
 
 use super::pose::{PoseArgs, PoseOf};
 use glam::DVec3;
@@ -8,7 +8,8 @@ use presight::sensor::ExternalPose;
 use presight::{Error, Pose, Result, Scene, Sensor, Twist};
 use std::path::{Path, PathBuf};
 
-/// A pose this far turned from another may lie on either way round: half a turn, with half a degree of rounding.
+/// Beyond this angle between two poses, degrees, the direction of turning is ambiguous: half a turn, less half a degree
+/// for rounding in the text of a pose.
 const HALF_TURN_DEG: f64 = 179.5;
 
 /// How the robot moves while the sensor measures its rays; poses are those at the stamp of the scan.
@@ -24,8 +25,8 @@ pub struct MotionArgs {
 
     /// Poses over time, whose motion the scans follow; the stamps of the poses are those of the scans
     ///
-    /// Lines of timestamp tx ty tz qx qy qz qw, with the meaning of the other poses. Between them the position is linear
-    /// and the orientation spherically linear.
+    /// Lines of timestamp tx ty tz qx qy qz qw, in the frames of --pose. Between two poses the position is linear and
+    /// the orientation spherically linear.
     #[arg(long, value_name = "FILE.tum")]
     trajectory: Option<PathBuf>,
 
@@ -136,7 +137,7 @@ fn until(moved: &Pose, seconds: f64) -> Result<ScanMotion> {
     }
     let turned = moved.rotation.angle_between(glam::DQuat::IDENTITY).to_degrees();
     if turned > HALF_TURN_DEG {
-        let what = format!("{turned:.1} degrees from the pose at the stamp: the way round is not known");
+        let what = format!("{turned:.1} degrees from the pose at the stamp: the direction of turning is ambiguous");
         return Err(Error::usage(what, "give --twist or --trajectory FILE"));
     }
     Ok(ScanMotion::Twist(Twist::to(moved, seconds)))
@@ -148,7 +149,7 @@ fn check_sensor(sensor: &Sensor) -> Result<()> {
         return Ok(());
     }
     let what =
-        format!("sensor {:?} measures all rays at once, and its image does not depend on motion", sensor.spec().name);
+        format!("sensor {:?} measures all rays at the stamp: its image does not depend on motion", sensor.spec().name);
     Err(Error::usage(what, "state when its rays are measured (turn_s of a scanner), or give no motion"))
 }
 
@@ -189,9 +190,9 @@ mod tests {
     }
 
     #[test]
-    fn half_a_turn_has_two_ways_round() {
+    fn half_a_turn_is_ambiguous() {
         let turned = |degrees: f64| Pose::from_xyz_rpy(DVec3::X, 0.0, 0.0, degrees.to_radians());
-        assert!(until(&turned(180.0), 0.1).unwrap_err().to_string().contains("way round"));
+        assert!(until(&turned(180.0), 0.1).unwrap_err().to_string().contains("ambiguous"));
         assert!(until(&turned(10.0), 0.0).unwrap_err().remedy().contains("--twist"));
         let Ok(ScanMotion::Twist(twist)) = until(&turned(9.0), 0.1) else { panic!("a twist") };
         assert!((twist.angular.z - 90f64.to_radians()).abs() < 1e-9);

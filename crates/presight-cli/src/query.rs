@@ -82,6 +82,18 @@ pub struct Args {
     #[arg(long, value_name = "METRES", default_value_t = 0.4, requires = "path")]
     radius: f64,
 
+    /// Maximum height of a step of the floor, metres; higher ones are obstacles and edges
+    #[arg(long, value_name = "METRES", default_value_t = PathOptions::default().clearance, requires = "path")]
+    step: f64,
+
+    /// Height of the robot, metres
+    #[arg(long, value_name = "METRES", default_value_t = PathOptions::default().height, requires = "path")]
+    height: f64,
+
+    /// Maximum slope of the floor, degrees
+    #[arg(long, value_name = "DEGREES", default_value_t = PathOptions::default().slope_deg, requires = "path")]
+    slope: f64,
+
     /// Also around what `supervise` saw in its corridor in any frame
     #[arg(long, value_name = "RUN.jsonl", requires = "path")]
     blocked: Option<PathBuf>,
@@ -154,7 +166,11 @@ impl Question {
         if let Some([from, to]) = args.path.as_deref() {
             let seen = args.blocked.as_deref().map(read_seen).transpose()?.unwrap_or_default();
             let (from, to) = (numbers::<3>("--path", from)?, numbers::<3>("--path", to)?);
-            let options = PathOptions::default().with_radius(args.radius);
+            let options = PathOptions::default()
+                .with_radius(args.radius)
+                .with_clearance(args.step)
+                .with_height(args.height)
+                .with_slope_deg(args.slope);
             return Ok(Self::Way(from.into(), to.into(), seen, options));
         }
         Ok(Self::Docks(args.apart))
@@ -291,7 +307,11 @@ fn path(world: &World, from: DVec3, to: DVec3, seen: &[Aabb], options: &PathOpti
             (json!({ "found": true, "length": length, "points": points }), lines)
         }
         FloorPath::Blocked { reached, missing, object } => {
-            let by = object.as_deref().map_or(String::new(), |name| format!("; {name} blocks it"));
+            let by = match object.as_deref() {
+                Some(name) => format!("; {name} blocks it"),
+                None if seen.is_empty() => "; the floor ends there".to_owned(),
+                None => "; the floor ends there, or something was seen".to_owned(),
+            };
             let line = format!("no path: {missing:.2} m are missing from {:.3}, {:.3}{by}", reached.x, reached.y);
             let value = json!({ "found": false, "reached": reached.to_array(), "missing": missing, "object": object });
             (value, vec![line])

@@ -196,7 +196,8 @@ impl Run {
         let robot = (step.phase == Phase::Tracking).then_some(&step.pose);
         let frames: Vec<&Frame> = std::iter::once(sensed.frame).chain(sensed.beside).collect();
         let report = self.supervisor.supervise(&mut self.predictor, &scene.world, &frames, robot)?;
-        self.out.add(&line(scene, step, &report).to_string())?;
+        let then = sensed.frame.at_one_moment()?.robot(&step.pose);
+        self.out.add(&line(scene, step, &then.world_from_robot, &report).to_string())?;
         self.frames += 1;
         self.not_compared += usize::from(!report.is_compared);
         if let Some(first) = report.intrusions.first() {
@@ -236,8 +237,8 @@ fn header(supervisor: &Supervisor, options: &SuperviseOptions) -> Value {
     })
 }
 
-/// The line of a frame.
-fn line(scene: &Scene, step: &Step, report: &Report) -> Value {
+/// The line of a frame, with the pose of the robot at the moment of the report.
+fn line(scene: &Scene, step: &Step, world_from_robot: &Pose, report: &Report) -> Value {
     let counts = report.counts();
     let by_reason = |value: &dyn Fn(usize) -> Value| -> Value {
         let named = UnseenReason::ALL.iter().enumerate().map(|(i, reason)| (reason.name().to_owned(), value(i)));
@@ -249,7 +250,7 @@ fn line(scene: &Scene, step: &Step, report: &Report) -> Value {
             known.entry(name(scene, *object)).or_default().push(cell);
         }
     }
-    let pose = report.is_compared.then_some(&step.pose.world_from_robot);
+    let pose = report.is_compared.then_some(world_from_robot);
     json!({
         "time": report.stamp, "state": step.phase.name(),
         "against": if report.is_compared { "model" } else { "measurement" },

@@ -1,22 +1,18 @@
 //! Occupancy grids for planners: YAML and PGM as the map_server of nav2 reads them.
 //!
 //! A cell is occupied if a surface between two heights above the floor reaches into it. It is free if a floor covers it
-//! completely and it is not occupied. It is unknown otherwise, and where a mark records an unobserved space.
+//! completely and it is not occupied. It is unknown otherwise, and where a mark records an unobserved space. The floor
+//! is one level of [`HeightField`]; heights count from the floor of each cell, so that ramps and steps belong to it.
 
-use crate::geometry::{area, bounds, doubled_area, is_inside};
 use glam::{DVec2, DVec3};
-use presight_model::environment::{Environment, MarkKind};
+use presight_model::environment::{Environment, MarkKind, Object};
 use presight_model::error::{Error, Result};
+use presight_model::floor::{FieldOptions, GridFrame, HeightField, Level, Mobility};
 use presight_model::geometry::Aabb;
 
-/// Maximum number of cells of a grid, which bounds its file to 100 MB.
-pub const MAX_CELLS: f64 = 1e8;
-/// Minimum cosine between the vertical and the normal of a level surface: 14 degrees.
-const LEVEL: f64 = 0.97;
-/// Maximum unevenness of a floor, metres.
-const UNEVEN: f64 = 0.1;
-/// Maximum distance between a cell and a surface that touches it, metres.
-const TOUCH: f64 = 1e-6;
+/// Maximum number of cells of a grid: 250 x 250 m in cells of 5 cm. It bounds the file to 25 MB, and the memory to 1 GB
+/// for each floor above another.
+pub const MAX_CELLS: f64 = 2.5e7;
 
 /// The state of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,8 +46,12 @@ presight_model::options! {
         from_height: f64 = 0.1, with_from_height;
         /// Upper end of these heights, metres.
         to_height: f64 = 1.8, with_to_height;
-        /// Height of the floor, metres; `None` for the lowest large level surface.
+        /// Height of the floor, metres; `None` for the lowest large level with free room above.
         floor: Option<f64> = None, with_floor;
+        /// Number of the level from 1, by rising height, as in [`Grid::levels`]; `None` for the one at `floor`.
+        level: Option<usize> = None, with_level;
+        /// Maximum slope of a floor, degrees.
+        slope_deg: f64 = Mobility::default().slope_deg, with_slope_deg;
     }
 }
 
@@ -66,11 +66,21 @@ impl GridOptions {
             return Err(Error::usage(what, "give a finite length above 0, such as 0.05"));
         }
         let (low, high) = (self.from_height, self.to_height);
-        if !(low < high && low.is_finite() && high.is_finite() && self.floor.is_none_or(f64::is_finite)) {
+        if !(0.0 <= low && low < high && low.is_finite() && high.is_finite() && self.floor.is_none_or(f64::is_finite)) {
             let what = format!("`GridOptions::from_height` of {low} m and `GridOptions::to_height` of {high} m");
             return Err(Error::usage(what, "give finite heights above the floor, the lower one first"));
         }
+        if !self.mobility().is_sound() {
+            let what = format!("a `GridOptions::slope_deg` of {}", self.slope_deg);
+            return Err(Error::usage(what, "give 0 to 60 degrees"));
+        }
         Ok(())
+    }
+
+    /// The robot whose step is no higher than the obstacles that count.
+    fn mobility(&self) -> Mobility {
+        let step = self.from_height.clamp(0.0, Mobility::default().step);
+        Mobility::default().with_step(step).with_height(self.to_height).with_slope_deg(self.slope_deg)
     }
 }
 
@@ -85,107 +95,119 @@ pub struct Grid {
     pub cell: f64,
     /// Outer corner of the first cell, metres in the world.
     pub origin: DVec2,
-    /// Height of the floor, metres in the world.
+    /// Height of the floor, metres in the world: the most frequent height of its level.
     pub floor: f64,
+    /// Levels of the scene by rising height, without those that are much smaller than the largest one.
+    pub levels: Vec<Level>,
+    /// Number of the level of this grid from 1, if it is in the list.
+    pub level: Option<usize>,
     /// Row by row, with rising y.
     pub cells: Vec<Cell>,
+    /// Height of the floor in each cell, metres; without a floor, that of a nearest cell.
+    heights: Vec<f64>,
+    options: GridOptions,
 }
 
 impl Grid {
     /// The grid of an environment.
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Usage`] for cells or heights that are not finite or not in order;
-    /// [`presight_model::ErrorKind::Invalid`] without polygons, and for more than [`MAX_CELLS`] cells.
+    /// [`presight_model::ErrorKind::Usage`] for cells, heights and slopes that are not finite or not in order, and for
+    /// a level that does not exist; [`presight_model::ErrorKind::Invalid`] without polygons, for more than
+    /// [`MAX_CELLS`] cells, and for too many floors above one another.
     pub fn of(environment: &Environment, options: &GridOptions) -> Result<Self> {
         options.check()?;
         let polygons = polygons(environment);
-        let floor = options.floor.unwrap_or_else(|| floor_of(&polygons));
         let bounds = Aabb::of(polygons.iter().flatten().copied());
         if bounds.is_empty() {
             return Err(Error::invalid("the scene has no polygons", "give a scene with surfaces"));
         }
-        let cell = options.cell;
-        // Aligned to multiples of the cell, so that all grids of a scene share their cells.
-        let first = (bounds.min.truncate() / cell).floor() - 1.0;
-        let size = (bounds.max.truncate() / cell).ceil() + 1.0 - first;
-        if size.x * size.y > MAX_CELLS {
-            let what = format!("the grid has {:.0} x {:.0} cells; {MAX_CELLS:.0} are allowed", size.x, size.y);
-            let min = 1.01 * cell * (size.x * size.y / MAX_CELLS).sqrt();
-            let remedy = format!("use a `GridOptions::cell` of at least {min:.6} m");
-            return Err(Error::invalid(what, remedy));
+        let frame = frame(&bounds, options.cell)?;
+        let field_options =
+            FieldOptions::default().with_mobility(options.mobility()).with_from_height(options.from_height);
+        let field = HeightField::new(&polygons, frame, &field_options)?;
+        let (numbers, levels): (Vec<usize>, Vec<Level>) = field.levels().into_iter().unzip();
+        let chosen = match options.level {
+            Some(number) => {
+                Some(numbers.get(number.wrapping_sub(1)).copied().ok_or_else(|| no_level(number, &levels))?)
+            }
+            None => options.floor.map_or_else(|| field.default_level(), |height| field.level_at(height)),
+        };
+        let floor = chosen.map(|level| field.level(level).height).or(options.floor).unwrap_or(bounds.min.z);
+        let GridFrame { origin, cell, width, height } = frame;
+        let mut grid = Self {
+            width,
+            height,
+            cell,
+            origin,
+            floor,
+            levels,
+            level: chosen.and_then(|level| numbers.iter().position(|number| *number == level)).map(|k| k + 1),
+            cells: vec![Cell::Unknown; frame.count()],
+            heights: chosen.map_or_else(|| vec![floor; frame.count()], |level| field.heights(level)),
+            options: *options,
+        };
+        for (cell, height) in grid.heights.iter().enumerate().filter(|_| chosen.is_some()) {
+            if field.is_free(cell, *height) {
+                grid.cells[cell] = Cell::Free;
+            }
         }
-        let (width, height) = (size.x as usize, size.y as usize);
-        let cells = vec![Cell::Unknown; width * height];
-        let mut grid = Self { width, height, cell, origin: first * cell, floor, cells };
-        grid.add_floors(&polygons);
-        grid.mark_unseen(environment, options);
-        let (low, high) = (floor + options.from_height, floor + options.to_height);
         for polygon in &polygons {
-            let part = between(polygon, low, high);
-            grid.paint(&part, Cell::Occupied);
+            grid.paint(&frame, polygon, options.from_height, |cell| {
+                if *cell == Cell::Unknown {
+                    *cell = Cell::Occupied;
+                }
+            });
         }
+        grid.mark_unseen(environment, &frame);
         Ok(grid)
     }
 
-    /// Marks the cells that floors cover as free. A cell is covered if each of its corners lies on a floor polygon, so
-    /// that several polygons can cover it together.
-    fn add_floors(&mut self, polygons: &[Vec<DVec3>]) {
-        let (width, height) = (self.width + 1, self.height + 1);
-        let mut covered = vec![false; width * height];
-        for polygon in polygons.iter().filter(|p| is_floor(p, self.floor)) {
-            let mut flat: Vec<DVec2> = polygon.iter().map(|p| (p.truncate() - self.origin) / self.cell).collect();
-            if area(&flat) < 0.0 {
-                flat.reverse();
-            }
-            let (min, max) = bounds(flat.iter().copied());
-            for y in min.y.ceil().max(0.0) as usize..=(max.y.floor().max(0.0) as usize).min(height - 1) {
-                for x in min.x.ceil().max(0.0) as usize..=(max.x.floor().max(0.0) as usize).min(width - 1) {
-                    covered[y * width + x] |= is_inside(DVec2::new(x as f64, y as f64), &flat, 1e-9);
+    /// The mask of this grid for nav2's keepout filter: cells are occupied where an object or a part of it that is
+    /// marked as uncertain is on the floor or in the obstacles' heights, and free everywhere else.
+    #[must_use]
+    pub fn keepout(&self, environment: &Environment) -> Self {
+        let mut mask = Self { cells: vec![Cell::Free; self.cells.len()], ..self.clone() };
+        let frame = GridFrame { origin: self.origin, cell: self.cell, width: self.width, height: self.height };
+        let step = self.options.mobility().step;
+        for (_, mark) in environment.marks().filter(|(_, mark)| mark.kind == MarkKind::Uncertain) {
+            let Ok(index) = environment.index_of(&mark.object) else { continue };
+            let object = &environment.objects()[index as usize];
+            for polygon in 0..object.mesh.polygon_count() as u32 {
+                let within = mark.bounds.is_none_or(|b| meets(object, polygon, &b));
+                if within && !environment.is_absent(index, polygon, None) {
+                    // From a step below: a floor that may be missing is no floor to drive on.
+                    mask.paint(&frame, &object.polygon_in_world(polygon), -step, |cell| *cell = Cell::Occupied);
                 }
             }
         }
-        for y in 0..self.height {
-            for x in 0..self.width {
-                let corners = [y * width + x, y * width + x + 1, (y + 1) * width + x, (y + 1) * width + x + 1];
-                if corners.iter().all(|c| covered[*c]) {
-                    self.cells[y * self.width + x] = Cell::Free;
-                }
-            }
-        }
+        mask
     }
 
     /// Marks the cells of unobserved spaces between the heights as unknown.
-    fn mark_unseen(&mut self, environment: &Environment, options: &GridOptions) {
-        let (low, high) = (self.floor + options.from_height, self.floor + options.to_height);
+    fn mark_unseen(&mut self, environment: &Environment, frame: &GridFrame) {
         for (_, mark) in environment.marks().filter(|(_, mark)| mark.kind == MarkKind::Unseen) {
             let (Some(object), Some(b)) = (environment.object(&mark.object), mark.bounds) else { continue };
             let b = b.transformed(&object.world_from_object.to_affine());
-            if b.max.z < low || b.min.z > high {
-                continue;
-            }
-            let corners = [b.min, b.max.with_y(b.min.y), b.max, b.min.with_y(b.max.y)];
-            self.paint(&corners.map(DVec3::truncate), Cell::Unknown);
+            let bottom = [b.min, b.max.with_y(b.min.y), b.max, b.min.with_y(b.max.y)].map(|p| p.with_z(b.min.z));
+            let (cells, heights, options) = (&mut self.cells, &self.heights, &self.options);
+            frame.each_touched(&bottom, |cell, _, _| {
+                let (low, high) = (heights[cell] + options.from_height, heights[cell] + options.to_height);
+                if b.max.z >= low && b.min.z <= high && cells[cell] == Cell::Free {
+                    cells[cell] = Cell::Unknown;
+                }
+            });
         }
     }
 
-    /// Sets each cell that a convex polygon or a segment reaches into.
-    fn paint(&mut self, polygon: &[DVec2], with: Cell) {
-        if polygon.is_empty() {
-            return;
-        }
-        let flat: Vec<DVec2> = polygon.iter().map(|p| (*p - self.origin) / self.cell).collect();
-        let slack = TOUCH / self.cell;
-        let (min, max) = bounds(flat.iter().copied());
-        let first = (min - slack).floor().max(DVec2::ZERO);
-        let last = (max + slack).floor().min(DVec2::new(self.width as f64, self.height as f64) - 1.0);
-        for y in first.y as usize..=last.y.max(0.0) as usize {
-            for x in first.x as usize..=last.x.max(0.0) as usize {
-                if overlaps(&flat, DVec2::new(x as f64, y as f64), slack) {
-                    self.cells[y * self.width + x] = with;
-                }
+    /// Calls `set` with each cell in which a convex polygon reaches into the heights from `from` above the floor on.
+    fn paint(&mut self, frame: &GridFrame, polygon: &[DVec3], from: f64, mut set: impl FnMut(&mut Cell)) {
+        let (cells, heights, to) = (&mut self.cells, &self.heights, self.options.to_height);
+        frame.each_touched(polygon, |cell, low, high| {
+            if high >= heights[cell] + from && low <= heights[cell] + to {
+                set(&mut cells[cell]);
             }
-        }
+        });
     }
 
     /// The pixels as a PGM file (P5), with falling y.
@@ -235,66 +257,29 @@ fn polygons(environment: &Environment) -> Vec<Vec<DVec3>> {
         .collect()
 }
 
-fn is_level(polygon: &[DVec3]) -> bool {
-    let area = doubled_area(polygon);
-    area.z.abs() > LEVEL * area.length()
-}
-
-fn is_floor(polygon: &[DVec3], floor: f64) -> bool {
-    is_level(polygon) && polygon.iter().all(|p| (p.z - floor).abs() < UNEVEN)
-}
-
-/// Height of the lowest level surface with at least a quarter of the area of the largest one; the height of the lowest
-/// point without a level surface.
-fn floor_of(polygons: &[Vec<DVec3>]) -> f64 {
-    let mut areas = std::collections::BTreeMap::<i64, f64>::new();
-    for polygon in polygons.iter().filter(|p| is_level(p)) {
-        let height = polygon.iter().map(|p| p.z).sum::<f64>() / polygon.len() as f64;
-        *areas.entry((height / UNEVEN).round() as i64).or_default() += doubled_area(polygon).length();
+/// Cells aligned to multiples of their side, so that all grids of a scene share their cells.
+fn frame(bounds: &Aabb, cell: f64) -> Result<GridFrame> {
+    let first = (bounds.min.truncate() / cell).floor() - 1.0;
+    let size = (bounds.max.truncate() / cell).ceil() + 1.0 - first;
+    if size.x * size.y > MAX_CELLS {
+        let what = format!("the grid has {:.0} x {:.0} cells; {MAX_CELLS:.0} are allowed", size.x, size.y);
+        let min = 1.01 * cell * (size.x * size.y / MAX_CELLS).sqrt();
+        return Err(Error::invalid(what, format!("use a `GridOptions::cell` of at least {min:.6} m")));
     }
-    let max = areas.values().fold(0.0, |a: f64, b| a.max(*b));
-    let lowest = areas.iter().find(|(_, area)| **area >= 0.25 * max).map(|(height, _)| *height);
-    let near = |p: &&Vec<DVec3>| is_level(p) && lowest.is_some_and(|l| (p[0].z / UNEVEN - l as f64).abs() < 1.0);
-    let (sum, weight) = polygons.iter().filter(near).fold((0.0, 0.0), |(sum, weight), p| {
-        let area = doubled_area(p).length();
-        (sum + area * p.iter().map(|p| p.z).sum::<f64>() / p.len() as f64, weight + area)
-    });
-    let lowest = || polygons.iter().flatten().map(|p| p.z).fold(f64::INFINITY, f64::min);
-    if weight > 0.0 { sum / weight } else { lowest() }
+    Ok(GridFrame { origin: first * cell, cell, width: size.x as usize, height: size.y as usize })
 }
 
-/// The part of a polygon between two heights, projected on the floor.
-fn between(polygon: &[DVec3], low: f64, high: f64) -> Vec<DVec2> {
-    let cut = |points: Vec<DVec3>, above: &dyn Fn(DVec3) -> f64| {
-        let mut kept = Vec::new();
-        for k in 0..points.len() {
-            let (a, b) = (points[k], points[(k + 1) % points.len()]);
-            let (da, db) = (above(a), above(b));
-            if da >= 0.0 {
-                kept.push(a);
-            }
-            if (da > 0.0 && db < 0.0) || (da < 0.0 && db > 0.0) {
-                kept.push(a + (b - a) * (da / (da - db)));
-            }
-        }
-        kept
+fn no_level(number: usize, levels: &[Level]) -> Error {
+    let heights: Vec<String> = levels.iter().map(|level| format!("{:.3}", level.height)).collect();
+    let remedy = match heights.len() {
+        0 => "the scene has no level surface with free room above".to_owned(),
+        n => format!("give 1 to {n}, for floors at {} m", heights.join(", ")),
     };
-    let part = cut(cut(polygon.to_vec(), &|p| p.z - low), &|p| high - p.z);
-    part.into_iter().map(DVec3::truncate).collect()
+    Error::usage(format!("there is no level {number}"), remedy)
 }
 
-/// True if a convex polygon, which may be as thin as a line, reaches into the unit square at a corner (separating
-/// axes).
-fn overlaps(polygon: &[DVec2], corner: DVec2, slack: f64) -> bool {
-    let square = [corner, corner + DVec2::X, corner + DVec2::ONE, corner + DVec2::Y];
-    let sides = (0..polygon.len()).map(|k| (polygon[(k + 1) % polygon.len()] - polygon[k]).perp());
-    sides.chain([DVec2::X, DVec2::Y]).filter(|axis| axis.length_squared() > 1e-24).all(|axis| {
-        let axis = axis.normalize();
-        let span = |points: &[DVec2]| {
-            let along = points.iter().map(|p| p.dot(axis));
-            along.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)))
-        };
-        let (a, b) = (span(polygon), span(&square));
-        a.0 <= b.1 + slack && b.0 <= a.1 + slack
-    })
+/// True if the box of a polygon meets a box in the frame of its object.
+fn meets(object: &Object, polygon: u32, bounds: &Aabb) -> bool {
+    let own = Aabb::of(object.mesh.corners_of(polygon).map(|p| object.object_from_mesh.transform_point3(p)));
+    own.min.cmple(bounds.max).all() && own.max.cmpge(bounds.min).all()
 }

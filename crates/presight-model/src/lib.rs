@@ -9,6 +9,7 @@ pub mod contour;
 pub mod environment;
 pub mod error;
 pub mod flat;
+pub mod floor;
 pub mod geometry;
 pub mod index;
 pub mod limits;

@@ -71,9 +71,9 @@ impl<'a> PointCloud<'a> {
         Self::of_scan(images, sensor, pose, frame, None, None)
     }
 
-    /// Computes the points of a range image that the sensor measured while the robot moved; `pose` is the sensor's at the
-    /// stamp. Points in the frame of the sensor are as sensed, each in the frame at the time of its own ray, or deskewed:
-    /// all in the frame at `moment`, seconds after the stamp. Points in the world need no moment.
+    /// Computes the points of a range image that the sensor measured while the robot moved; `pose` is the sensor's at
+    /// the stamp. Points in the frame of the sensor are as sensed, each in the frame at the time of its own ray, or
+    /// deskewed: all in the frame at `moment`, seconds after the stamp. Points in the world need no moment.
     ///
     /// # Errors
     /// The errors of [`PointCloud::new`]; [`presight_model::ErrorKind::Invalid`] if the motion does not reach over the

@@ -64,8 +64,6 @@ pub struct Search<'a> {
     pub comparison: Option<&'a Comparison>,
     pub world: &'a World,
     pub robot: &'a PoseEstimate,
-    /// The sensor at the moment of the frame, in the frame of `robot`.
-    pub robot_from_sensor: Pose,
     pub corridor: &'a Corridor,
     pub options: &'a SuperviseOptions,
     pub noise: RangeNoise,
@@ -185,8 +183,9 @@ impl Search<'_> {
             }
         }
         let (range, pixel) = nearest;
-        let ray = self.robot_from_sensor.rotation * self.rays.rays[pixel].as_dvec3();
-        let nearest = self.robot_from_sensor.translation + range * ray;
+        let mount = self.rays.sensor.spec().mount;
+        let ray = mount.rotation * self.rays.rays[pixel].as_dvec3();
+        let nearest = mount.translation + range * ray;
         Intrusion {
             nearest,
             covariance: self.covariance(ray, range, pixel),

@@ -105,8 +105,9 @@ impl Supervisor {
     }
 
     /// Supervises the corridor by the frames of the robot's sensors at one time. Without a pose of the robot, frames
-    /// cannot be compared with the model, and every surface in the corridor is an intrusion. Pose and report are of the
-    /// stamp, also for scans that take time: these are compared in their middle ([`Frame::at_one_moment`]).
+    /// cannot be compared with the model, and every surface in the corridor is an intrusion. The pose is that of the stamp.
+    /// A scan that takes time is compared in its middle ([`Frame::at_one_moment`]): cells and intrusions are then in the
+    /// frame of the robot at that moment.
     ///
     /// # Errors
     /// [`ErrorKind::Usage`] without a frame and for a frame without ranges; [`ErrorKind::Invalid`] for an invalid
@@ -158,15 +159,15 @@ impl Supervisor {
     ) -> Result<Seen> {
         let moment = frame.at_one_moment()?;
         let frame = &*moment.frame;
+        let robot = robot.map(|robot| moment.robot(robot));
+        let robot = robot.as_ref();
         let comparison = match robot {
-            Some(robot) => Some(self.compare(predictor, world, frame, &moment.robot(robot), start)?),
+            Some(robot) => Some(self.compare(predictor, world, frame, robot, start)?),
             None => None,
         };
         let which = self.rays_of(frame);
         let rays = &self.rays[which];
         let mount = frame.sensor().spec().mount;
-        // Of the robot at the stamp.
-        let robot_from_sensor = moment.stamp_from_moment * mount;
         let unknown = PoseEstimate::exact(RobotPose::IDENTITY);
         let robot = robot.unwrap_or(&unknown);
         let in_world = self.corridor.frame() == CorridorFrame::World;
@@ -179,13 +180,12 @@ impl Supervisor {
             comparison: comparison.as_ref(),
             world,
             robot,
-            robot_from_sensor,
             corridor: &self.corridor,
             options: &self.options,
             noise: RangeNoise::of(frame.sensor()),
             pose_deviation,
         };
-        let sensor_from_corridor = (corridor_from_robot * robot_from_sensor).inverse();
+        let sensor_from_corridor = (corridor_from_robot * mount).inverse();
         let uncertainty = if in_world { pose_deviation } else { [0.0; 2] };
         let settings = (self.options.smallest, self.options.is_upright);
         let mut view = SensorView::new(rays, &readings, &self.cells, sensor_from_corridor, uncertainty, settings);
@@ -246,15 +246,15 @@ impl Supervisor {
 
     /// Measured points in the corridor, and the number of pixels whose arbitrary readings lie in it.
     fn points(&self, search: &Search<'_>, corridor_from_robot: &Pose) -> (Vec<CorridorPoint>, f64) {
-        let corridor_from_sensor = *corridor_from_robot * search.robot_from_sensor;
+        let mount = search.rays.sensor.spec().mount;
+        let corridor_from_sensor = *corridor_from_robot * mount;
         let mut points = Vec::new();
         for (pixel, z) in search.frame.ranges().iter().enumerate().filter(|(_, z)| z.is_finite()) {
             let in_sensor = f64::from(*z) * search.rays.rays[pixel].as_dvec3();
             let in_corridor = corridor_from_sensor.transform_point(in_sensor);
             let Some(cell) = self.cells.cell_at(in_corridor) else { continue };
             if let Some(along) = self.corridor.arc_length_at(in_corridor.to_array()) {
-                let point = search.robot_from_sensor.transform_point(in_sensor);
-                points.push(CorridorPoint { pixel, point, cell, along });
+                points.push(CorridorPoint { pixel, point: mount.transform_point(in_sensor), cell, along });
             }
         }
         (points, self.chances(search.rays, &corridor_from_sensor.inverse()))

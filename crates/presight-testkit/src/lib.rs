@@ -3,6 +3,7 @@
 //! Unit tests inside the library's `src` cannot use functions with types of the library: for them, these types belong
 //! to another copy of the library.
 
+pub mod buildings;
 pub mod caster;
 pub mod changes;
 pub mod data;

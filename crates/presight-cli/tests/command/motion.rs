@@ -16,8 +16,8 @@ fn place() -> Place {
 
 const BASE: &str = "predict wall.glb --sensor turning.toml --backend cpu --outputs range,polygon_id";
 
-/// By hand: the middle column is measured 0.1 x 180 / 361 s after the stamp. At 2 m/s the wall, 2 m ahead at the stamp, is
-/// then 1.9003 m away.
+/// By hand: the middle column is measured 0.1 x 180 / 361 s after the stamp. At 2 m/s the wall, 2 m ahead at the stamp,
+/// is then 1.9003 m away.
 #[test]
 fn each_column_is_predicted_from_where_the_robot_is_then() {
     let place = place();
@@ -57,7 +57,7 @@ fn bad_motion_is_refused_with_a_remedy() {
     let refused = [
         ("--pose 0,0,1,0,0,0 --twist 1,2,3", "3 numbers"),
         ("--pose 0,0,1,0,0,0 --twist 1,0,0,0,0,nan", "not a finite number"),
-        ("--pose 0,0,1,0,0,0 --pose-end 0,0,1,0,0,180", "way round"),
+        ("--pose 0,0,1,0,0,0 --pose-end 0,0,1,0,0,180", "ambiguous"),
         ("--poses scans.tum --out x{i}.exr --pose-end 0,0,1,0,0,1", "a series"),
         ("--pose 0,0,1,0,0,0 --trajectory drive.tum", "the stamp"),
         ("--pose 0,0,1,0,0,0 --trajectory drive.tum --stamp 10.15", "outside of the trajectory"),
@@ -75,5 +75,5 @@ fn bad_motion_is_refused_with_a_remedy() {
         assert!(outcome.stderr.contains(words), "{flags}: {}", outcome.stderr);
     }
     let at_once = place.run("predict wall.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --twist 1,0,0,0,0,0");
-    assert!(at_once.stderr.contains("measures all rays at once"), "{}", at_once.stderr);
+    assert!(at_once.stderr.contains("measures all rays at the stamp"), "{}", at_once.stderr);
 }

@@ -2,6 +2,7 @@
 #![allow(clippy::print_stdout, reason = "tests print their figures on request")]
 
 mod bad;
+mod buildings;
 mod corners;
 mod corridor;
 mod factory;

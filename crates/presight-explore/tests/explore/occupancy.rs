@@ -160,3 +160,104 @@ fn too_many_cells_are_refused_with_a_cell_that_works() {
     assert!(Grid::of(&Environment::new(), &GridOptions::default()).is_err());
     assert!(Grid::of(&hall(), &GridOptions::default().with_from_height(2.0)).is_err());
 }
+
+fn at(x: f64, y: f64, z: f64) -> Pose {
+    Pose::from_xyz_rpy(DVec3::new(x, y, z), 0.0, 0.0, 0.0)
+}
+
+/// Number of cells of 0.1 m in each state that a grid of boxes has: free, occupied, unknown.
+fn counts(environment: &Environment, options: &GridOptions) -> [usize; 3] {
+    let grid = Grid::of(environment, &options.with_cell(0.1)).unwrap();
+    [Cell::Free, Cell::Occupied, Cell::Unknown].map(|cell| grid.count(cell))
+}
+
+/// By hand: on a slab of 4 x 3 m (top at 0.01, 40 x 30 cells) stands a box of 0.98 x 0.98 m in the middle of 10 x 10
+/// cells. The slab is up to 2 m thick, which is more than the robot is high: its underside is never the floor.
+#[test]
+fn the_floor_of_a_slab_is_its_top() {
+    for thick in [0.02, 0.12, 0.3, 1.0, 2.5] {
+        let mut environment = empty();
+        environment.add_cuboid("slab", at(2.0, 1.5, 0.01 - 0.5 * thick), DVec3::new(4.0, 3.0, thick)).unwrap();
+        environment.add_cuboid("box", at(1.5, 1.5, 0.51), DVec3::new(0.98, 0.98, 1.0)).unwrap();
+        let grid = Grid::of(&environment, &GridOptions::default()).unwrap();
+        assert!((grid.floor - 0.01).abs() < 1e-6, "{thick}: {}", grid.floor);
+        assert_eq!(counts(&environment, &GridOptions::default())[..2], [1200 - 100, 100], "{thick}");
+    }
+    // The inside of a shell whose fronts point outward: nothing stands on top of it.
+    let mut shell = empty();
+    shell.add_cuboid("shell", at(2.0, 1.5, 1.5), DVec3::new(4.0, 3.0, 3.0)).unwrap();
+    shell.add_cuboid("box", at(1.5, 1.5, 0.5), DVec3::new(0.98, 0.98, 1.0)).unwrap();
+    let grid = Grid::of(&shell, &GridOptions::default()).unwrap();
+    assert!(grid.floor.abs() < 1e-6 && !grid.levels[0].faces_up);
+}
+
+/// By hand: two storeys of 4 x 3 m at 0 and 3 m, a box on the upper one, and a table on the lower one.
+#[test]
+fn storeys_are_levels() {
+    let mut environment = empty();
+    for (name, z) in [("ground", -0.1), ("upper", 2.9)] {
+        environment.add_cuboid(name, at(2.0, 1.5, z), DVec3::new(4.0, 3.0, 0.2)).unwrap();
+    }
+    environment.add_cuboid("box", at(1.5, 1.5, 3.5), DVec3::new(0.98, 0.98, 1.0)).unwrap();
+    environment.add_cuboid("table", at(1.0, 1.0, 0.7), DVec3::new(0.38, 0.38, 0.05)).unwrap();
+    let plain = GridOptions::default();
+    let grid = Grid::of(&environment, &plain).unwrap();
+    let heights: Vec<f64> = grid.levels.iter().map(|level| level.height).collect();
+    assert!(heights.len() == 2 && heights[0].abs() < 1e-6 && (heights[1] - 3.0).abs() < 1e-6, "{heights:?}");
+    assert_eq!((grid.level, counts(&environment, &plain)[0]), (Some(1), 1200 - 16));
+    for options in [plain.with_level(Some(2)), plain.with_floor(Some(3.0))] {
+        assert_eq!(counts(&environment, &options)[..2], [1200 - 100, 100]);
+    }
+    let refused = Grid::of(&environment, &plain.with_level(Some(3))).unwrap_err().to_string();
+    assert!(refused.contains("1 to 2") && refused.contains("0.000, 3.000"), "{refused}");
+    assert!(Grid::of(&environment, &plain.with_level(Some(0))).is_err());
+    assert_eq!(counts(&environment, &plain.with_floor(Some(1.5)))[0], 0, "no level is there");
+}
+
+/// By hand: a crate of 0.98 x 0.98 m covers 10 x 10 cells, and a slab 40 x 30 of them. What hangs above the robot is
+/// not in its way.
+#[test]
+fn a_keepout_mask_is_of_what_is_uncertain() {
+    let mut environment = empty();
+    environment.add_cuboid("slab", at(2.0, 1.5, -0.1), DVec3::new(3.99, 2.99, 0.2)).unwrap();
+    environment.add_cuboid("crate", at(1.5, 1.5, 0.5), DVec3::new(0.98, 0.98, 1.0)).unwrap();
+    environment.add_cuboid("lamp", at(3.5, 1.5, 2.5), DVec3::new(0.38, 0.38, 0.2)).unwrap();
+    let options = GridOptions::default().with_cell(0.1);
+    let mask = |environment: &Environment| {
+        let grid = Grid::of(environment, &options).unwrap();
+        let mask = grid.keepout(environment);
+        assert_eq!((mask.width, mask.origin), (grid.width, grid.origin));
+        assert_eq!(mask.count(Cell::Free) + mask.count(Cell::Occupied), mask.cells.len());
+        mask.count(Cell::Occupied)
+    };
+    assert_eq!(mask(&environment), 0);
+    let mut mark = |object: &str, kind: MarkKind| {
+        let mark = Mark { object: object.into(), kind, class: None, bounds: None };
+        environment.set_mark(object, mark).unwrap();
+        mask(&environment)
+    };
+    assert_eq!(mark("lamp", MarkKind::Uncertain), 0, "above the robot");
+    assert_eq!(mark("crate", MarkKind::Uncertain), 100);
+    assert_eq!(mark("crate", MarkKind::Absent), 0);
+    assert_eq!(mark("slab", MarkKind::Uncertain), 1200);
+}
+
+/// A hall of 8 x 6 m on a slab of 0.3 m, with walls beside the slab and a table. The numbers of cells are those of a
+/// program of its own, by clipping and separating axes.
+#[test]
+fn a_hall_on_a_slab_has_the_cells_of_another_program() {
+    let mut environment = empty();
+    for (name, min, max) in [
+        ("floor", [0.0, 0.0, -0.3], [8.0, 6.0, 0.0]),
+        ("south", [0.0, -0.1, 0.0], [8.0, 0.0, 3.0]),
+        ("north", [0.0, 6.0, 0.0], [8.0, 6.1, 3.0]),
+        ("west", [-0.1, 0.0, 0.0], [0.0, 6.0, 3.0]),
+        ("east", [8.0, 0.0, 0.0], [8.1, 6.0, 3.0]),
+        ("table", [4.2, 1.6, 0.725], [5.8, 2.4, 0.775]),
+    ] {
+        let mesh = cuboid(Vec3::from(min), Vec3::from(max));
+        environment.insert(NewObject::new(name, Pose::IDENTITY, mesh.into())).unwrap();
+    }
+    let grid = Grid::of(&environment, &GridOptions::default()).unwrap();
+    assert_eq!((grid.floor, grid.count(Cell::Free), grid.count(Cell::Occupied)), (0.0, 18_032, 2_868));
+}

@@ -62,7 +62,7 @@ impl MessageOrigin {
 
     /// Ranges as a scan; `None` if the sensor is not a level scanner of one row with equal steps. Without intensities
     /// the message has none.
-    pub fn laser_scan(&self, sensor: &Sensor, ranges: &[f32], intensities: &[f32]) -> Option<LaserScan> {
+    fn laser_scan(&self, sensor: &Sensor, ranges: &[f32], intensities: &[f32]) -> Option<LaserScan> {
         let Geometry::Scanner(scanner) = &sensor.spec().geometry else { return None };
         let Angles::Uniform { start_deg, step_deg, count } = scanner.azimuth else { return None };
         if scanner.elevation.len() != 1 || scanner.elevation.degrees(0) != 0.0 {
@@ -88,7 +88,8 @@ impl MessageOrigin {
         })
     }
 
-    /// The points of a range image, organized, with the values of other images that are wanted; NaN where the ray met nothing.
+    /// The points of a range image, organized, with the values of other images that are wanted; NaN where the ray met
+    /// nothing.
     ///
     /// # Errors
     /// As [`PointCloud::new`].
@@ -169,9 +170,9 @@ impl MessageOrigin {
         Record::of(topic, self.stamp_ns, &image)
     }
 
-    /// The calibration of a camera; `None` for another sensor. A rectified image is a camera without distortion, which R
-    /// turns from the optical frame.
-    pub fn camera_info(&self, sensor: &Sensor) -> Option<CameraInfo> {
+    /// The calibration of a camera; `None` for another sensor. A rectified image is a camera without distortion; R
+    /// turns from the optical frame to it.
+    fn camera_info(&self, sensor: &Sensor) -> Option<CameraInfo> {
         let Geometry::Camera(camera) = &sensor.spec().geometry else { return None };
         let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
         let (model, d) = match &camera.distortion {

@@ -1,9 +1,9 @@
 //! The twist of the robot while a scan was measured, from the points of the scan itself.
 //!
-//! A point that was measured `l` seconds late moves by `l` times the twist's error, so the derivative of its residual by the
-//! twist is `l J`. Pose and twist are estimated together: 12 numbers, solved by the Schur complement of the pose. What the
-//! scan alone says of the twist is then the information `S M^-1 S`: S is that complement, M the covariance of its gradient by
-//! noise, by the errors that residuals share, and by the pose's prior.
+//! A point that was measured `l` seconds late moves by `l` times the twist's error, so the derivative of its residual
+//! by the twist is `l J`. Pose and twist are estimated together: 12 numbers, solved by the Schur complement of the
+//! pose. What the scan alone says of the twist is then the information `S M^-1 S`: S is that complement, M the
+//! covariance of its gradient by noise, by the errors that residuals share, and by the pose's prior.
 
 use super::normal::{CommonError, Freedom, GroupSum, Normal};
 use crate::motion::Vector;
@@ -12,9 +12,9 @@ use presight_model::matrix::{Matrix, add_to, apply, inverse, product, restricted
 /// Covariances of the motion that was undone in a scan, in the robot's axes: metres and radians.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct ScanError {
-    /// Of the mean twist, per second.
+    /// Covariance of the mean twist, per second.
     pub twist: Matrix,
-    /// Of its change during the scan, per square second.
+    /// Covariance of the acceleration, per square second.
     pub acceleration: Matrix,
 }
 
@@ -30,7 +30,7 @@ pub struct LateSums {
 }
 
 impl LateSums {
-    /// Adds a residual `e`; `own` is w^2 s^2, or 0 where the parts of a covariance are not asked for.
+    /// Adds a residual `e`; `own` is w^2 s^2, or 0 where no covariance is requested.
     #[inline(always)]
     pub(super) fn add_point(&mut self, (w, own, late): (f64, f64, f64), j: &Vector, e: f64) {
         let (w1, n1) = (w * late, own * late);
@@ -76,14 +76,14 @@ impl LateSums {
     }
 }
 
-/// The twist's part of a Gauss-Newton step, and what it does to the step of the pose.
+/// Gauss-Newton steps of the pose and of the twist.
 pub(super) struct ScanStep {
     pub(super) pose: Vector,
     pub(super) twist: Vector,
 }
 
-/// A step of pose and twist. `pose_prior` has the information of the pose's prior and its gradient, `twist_prior` that of the
-/// twist, whose correction so far is `twist`.
+/// A step of pose and twist. `pose_prior` has the information of the pose's prior and its gradient, `twist_prior` that
+/// of the twist, whose correction so far is `twist`.
 pub(super) fn step(
     normal: &Normal,
     pose_prior: (&Matrix, &Vector),
@@ -127,8 +127,8 @@ fn reduced(normal: &Normal, (prior, pull): (&Matrix, &Vector), axes: &[usize]) -
     Reduced { known, gain, complement, gradient, of_pose }
 }
 
-/// What a scan alone says of the twist during the scan, beyond the twist that was undone in it: an information and the
-/// product of it and the twist, in the robot's axes.
+/// A scan's own measurement of the twist, relative to the motion it was deskewed by: an information matrix and its
+/// product with the twist, in the robot's axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct ScanTwist {
     pub information: Matrix,
@@ -172,18 +172,18 @@ impl ScanTwist {
         Self { information: sandwich(&t, &self.information), pull: apply(&t, &self.pull) }
     }
 
-    /// The same of a twist that is so much larger.
+    /// The measurement of the sum of this twist and another one.
     pub fn beyond(&self, twist: &Vector) -> Self {
         let more = apply(&self.information, twist);
         Self { information: self.information, pull: std::array::from_fn(|i| self.pull[i] + more[i]) }
     }
 
-    /// The same in units of time that are so many times shorter.
+    /// The measurement in a unit of time that is `times` as long.
     pub fn per(&self, times: f64) -> Self {
         Self { information: scaled(&self.information, 1.0 / (times * times)), pull: self.pull.map(|x| x / times) }
     }
 
-    /// The twist and its covariance, with what else is known of it: an information and its product with the twist.
+    /// The twist and its covariance, by the scan and by prior information.
     pub fn with(&self, information: &Matrix, pull: &Vector, freedom: Freedom) -> (Vector, Matrix) {
         let mut sum = self.information;
         add_to(&mut sum, information);
@@ -192,7 +192,7 @@ impl ScanTwist {
     }
 }
 
-/// A matrix of the robot's axes in those of the world.
+/// A matrix in the robot's axes, turned into world axes.
 pub(super) fn in_world(m: &Matrix, rotation: glam::DQuat) -> Matrix {
     sandwich(&turn(rotation), m)
 }

@@ -1,9 +1,10 @@
-//! Scans that take time are moved to their middle, where an error of the speed does least: half of the points are off to one
-//! side and half to the other.
+//! Scans that take time are moved to their middle, where an error of the speed does least: half of the points are off
+//! to one side and half to the other.
 //!
-//! The motion during a scan is not known before the scan is matched. What is known of it, from the motion before or as the
-//! frame gives it, is undone first; the scan is then matched with its pose and its twist open (see `estimate::scan_twist`), and
-//! the motion is corrected. What is left of its error goes into the covariance of the pose.
+//! The matcher needs the motion during a scan, and only the match reveals it. So the scan is first deskewed by a
+//! prediction, from the motion before or from the frame itself. It is then matched with pose and twist free (see
+//! `estimate::scan_twist`), and deskewed again by the corrected motion. The covariance of the pose includes the
+//! remaining error.
 
 use super::velocity::{Velocity, rate, twist_of};
 use super::{Localizer, State, timing::middle_of, timing::stamps_of};
@@ -15,24 +16,26 @@ use presight_model::matrix::{Matrix, add_to, apply, inverse};
 use presight_model::measured::{Frame, Motion, OdometryNoise, ScanMotion};
 use presight_model::world::World;
 
-/// A twist that turns by less within half a scan, radians, needs no second round: what is linear in it is off by half of its square,
-/// 0.5 mm at 10 m.
+/// Rotation within half a scan, radians, below which one round suffices: the linearized twist then errs by half of
+/// its square, 0.5 mm at 10 m.
 const SMALL_TURN: f64 = 0.01;
 /// Rounds after which an error of 1 rad would be below [`SMALL_TURN`]: each leaves half of the square.
 const MAX_ROUNDS: usize = 4;
-/// Pixels that tell the twist of a scan: with 1 cm of noise each, to some mm/s and mrad/s.
+/// Number of pixels from which the twist of a scan is estimated: with 1 cm of noise each, to some mm/s and mrad/s.
 const TWIST_PIXELS: f64 = 5000.0;
-/// Part of the variance of a number of the twist by the motion before that is left if the scan itself tells it.
+/// A component of the twist counts as measured by the scan if its variance is below this part of the variance by the
+/// motion before.
 const SEEN: f64 = 0.25;
 
-/// The mean twist of the robot during a scan, in its axes: from half a scan before its middle until half a scan after it.
+/// The mean twist of the robot during a scan, in its axes: from half a scan before its middle until half a scan after
+/// it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct DuringScan {
     /// Half of the scan's duration, seconds.
     pub half: f64,
     pub twist: Vector,
     pub covariance: Matrix,
-    /// True for numbers that the scan itself tells, better than the motion before.
+    /// True for the components that the scan measures better than the motion before does.
     pub is_seen: [bool; 6],
     /// Mean twist between the stamp and the middle, if the frame gives its course.
     pub to_middle: Option<Vector>,
@@ -43,12 +46,12 @@ pub(super) struct Still {
     pub frame: Frame,
     pub motion: ScanMotion,
     pub during: DuringScan,
-    /// What the scan alone says of the twist, beyond none.
+    /// The scan's own measurement of the twist.
     pub said: Option<ScanTwist>,
 }
 
 impl Localizer {
-    /// Moves a scan to its middle by the robot's own motion, and tells the estimator the error of this motion.
+    /// Moves a scan to its middle by the motion of the robot, and gives the estimator the error of this motion.
     pub(super) fn put_to_middle(&mut self, world: &World, frame: &Frame) -> Result<Still> {
         let (freedom, (middle, half)) = (self.estimator.options.freedom, middle_of(frame.sensor()));
         let mut velocity = self.velocity.clone();
@@ -62,10 +65,10 @@ impl Localizer {
         let given = frame.scan_motion().filter(reaches).map(|motion| (motion.clone(), error_of_given(frame, motion)));
         let (guess, known) = velocity.within(-half, half);
         let (motion, known) = given.clone().unwrap_or((ScanMotion::Twist(twist_of(&guess)), known));
-        let Some(prior) = prior else { return self.undone(frame, motion, known, &velocity) };
+        let Some(prior) = prior else { return self.undone(frame, (middle, half), motion, known, &velocity) };
         let thin = thinned(frame)?;
         let part = thin.as_ref().unwrap_or(frame);
-        let mut still = self.undone(part, motion, known, &velocity)?;
+        let mut still = self.undone(part, (middle, half), motion, known, &velocity)?;
         for _ in 0..MAX_ROUNDS {
             let (estimate, scan) = self.estimator.refine_with_twist(world, &still.frame, &prior, &known)?;
             if !estimate.is_determined() {
@@ -84,7 +87,7 @@ impl Localizer {
             let (change, covariance) = scan.with(&sum.information, &sum.pull, freedom);
             let (motion, said) = (corrected(&still.motion, &change, middle), scan.beyond(&still.during.twist));
             let is_seen = std::array::from_fn(|i| covariance[i][i] < SEEN * sum.covariance[i][i]);
-            still = Still { said: Some(said), ..self.undone(part, motion, covariance, &moved)? };
+            still = Still { said: Some(said), ..self.undone(part, (middle, half), motion, covariance, &moved)? };
             still.during.is_seen = is_seen;
             if half * change[3..].iter().map(|x| x * x).sum::<f64>().sqrt() < SMALL_TURN {
                 break;
@@ -102,8 +105,14 @@ impl Localizer {
     }
 
     /// A scan without a motion, whose mean twist has this covariance.
-    fn undone(&mut self, frame: &Frame, motion: ScanMotion, known: Matrix, velocity: &Velocity) -> Result<Still> {
-        let (middle, half) = middle_of(frame.sensor());
+    fn undone(
+        &mut self,
+        frame: &Frame,
+        (middle, half): (f64, f64),
+        motion: ScanMotion,
+        known: Matrix,
+        velocity: &Velocity,
+    ) -> Result<Still> {
         let is_course = matches!(motion, ScanMotion::Path(_));
         let acceleration = if is_course { [[0.0; 6]; 6] } else { velocity.acceleration(half) };
         self.estimator.set_scan_error(ScanError { twist: known, acceleration });
@@ -118,7 +127,8 @@ impl Localizer {
         })
     }
 
-    /// The first scan: its twist is that of the robot, and where the robot started at the stamp it has gone on to the middle.
+    /// The first scan: its twist is that of the robot, and where the robot started at the stamp it has gone on to the
+    /// middle.
     fn begin(&mut self, middle: f64, during: &DuringScan) {
         self.velocity.begin(during);
         if let State::Following(own) | State::Hypotheses(own, _) = &mut self.state {
@@ -142,12 +152,12 @@ impl Localizer {
     }
 }
 
-/// What is known of a change of the twist: an information, and its product with the change.
+/// Prior information about a correction of the twist: an information matrix, and its product with the correction.
 #[derive(Default)]
 struct Known {
     information: Matrix,
     pull: Vector,
-    /// Of the first.
+    /// Covariance by the first source.
     covariance: Matrix,
 }
 
@@ -163,7 +173,7 @@ impl Known {
     }
 }
 
-/// Fewer pixels of a large image: they tell the twist well enough, and each costs a second time.
+/// A thinned copy of a large image, for the estimate of the twist alone.
 fn thinned(frame: &Frame) -> Result<Option<Frame>> {
     let pixels = u64::from(frame.sensor().width()) * u64::from(frame.sensor().height());
     let stride = (pixels as f64 / TWIST_PIXELS).sqrt() as u32;

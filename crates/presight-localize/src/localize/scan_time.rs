@@ -1,9 +1,10 @@
 //! How long scans take, in which direction, and to which of their rays the stamps belong, from what turning scans show.
 //!
 //! Matched with its twist open, a scan says by how much its points move from the first column to the last
-//! ([`crate::estimate::ScanTwist`]). The robot's twist v is known from the poses before and after, so this displacement is
-//! d = b v with the signed duration b of a turn: a weighted regression over the frames, with the scatter of its residuals. A
-//! constant delay of the poses shows against odometry only (see [`super::residuals`]): it says where in the scan the stamp is.
+//! ([`crate::estimate::ScanTwist`]). The robot's twist v is known from the poses before and after, so this displacement
+//! is d = b v with the signed duration b of a turn: a weighted regression over the frames, with the scatter of its
+//! residuals. A constant delay of the poses shows against odometry only (see [`super::residuals`]): it says where in
+//! the scan the stamp is.
 
 use super::drift::variance_of_means;
 use super::residuals::Figure;
@@ -20,25 +21,27 @@ use presight_model::sensor::{Geometry, RayTimes, Sensor, StampAt};
 use presight_model::statistics::chi_squared_quantile;
 use presight_model::world::World;
 
-/// Frames from which a duration is taken.
+/// Minimum number of frames for a duration.
 const MIN_FRAMES: usize = 10;
-/// A duration counts if it exceeds this multiple of its deviation: by chance one in a million, and neighbouring frames share errors.
+/// A duration counts if it exceeds this multiple of its deviation: by chance one in a million, and neighbouring frames
+/// share errors.
 const CERTAIN: f64 = 5.0;
-/// It must be known to this part of itself: two deviations and a half are then 5 %.
+/// Maximum relative deviation of a reported duration: the error is then below 5 % with two and a half deviations.
 const EXACT: f64 = 0.02;
-/// And differ from what is stated by this part of it.
+/// Minimum relative difference from the stated duration.
 const MATTERS: f64 = 0.05;
-/// A place of the stamp is told if the next one is as many deviations farther off: the wrong one is then told once in 40,000, as the
-/// measured time lies two deviations on its side of the middle between both.
+/// The place of the stamp is reported if the second nearest place is as many deviations farther off. A wrong place
+/// then needs an error of four deviations: 1 in 30,000.
 const APART: f64 = 4.0;
 /// Standard normal deviate of the probability that a scan without motion seems to have some: 1 in 10,000.
 const VISIBLE: f64 = 3.719;
-/// Room that is left to a pose while its scan's motion is estimated, one standard deviation: metres and radians of half a turn.
+/// Room that is left to a pose while its scan's motion is estimated, one standard deviation: metres and radians of half
+/// a turn.
 const ROOM: (f64, f64) = (0.1, 0.05);
-/// Frames after which one in so many is looked at, once the duration is known.
+/// Once the duration is known, every tenth frame is examined.
 const SELDOM: usize = 10;
 
-/// What one scan says, until the robot's twist is known from the next one.
+/// The latest scan, until the next one gives the robot's twist.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
     scan: ScanTwist,
@@ -63,7 +66,8 @@ pub(super) struct ScanTime {
     poses: Vec<(f64, Pose)>,
     /// The latest scan's information.
     latest: Option<Matrix>,
-    /// By how much a pose is off that the scan is matched at as if it were measured at once, metres and radians in the robot's axes.
+    /// Error of a pose whose scan is matched as if all points were measured together, metres and radians in the
+    /// robot's axes.
     bias: Vector,
     /// The sensor, and the same as if a turn took a second.
     supposed: Option<(Sensor, Sensor)>,
@@ -77,8 +81,8 @@ impl ScanTime {
         Self { stated: (turn_s, stamp), ..Self::default() }
     }
 
-    /// True if a frame is worth a look: the duration is not known yet, or has to be checked, and if a turn took as long as the
-    /// frames are apart, in which the robot moves by `moved`, the scan would show it.
+    /// True if a frame is worth a look: the duration is not known yet, or has to be checked, and if a turn took as long
+    /// as the frames are apart, in which the robot moves by `moved`, the scan would show it.
     fn is_due(&self, frame: usize, moved: &Vector, freedom: Freedom) -> bool {
         let least = chi_squared_quantile(freedom.axes().len() as u32, VISIBLE);
         if self.latest.is_some_and(|information| quadratic(&information, moved) < least) && frame > 2 {
@@ -120,7 +124,8 @@ impl ScanTime {
 
     fn regress(&mut self, twist: &Vector, seen: &Seen, [before, after]: [f64; 2], freedom: Freedom) {
         let (axes, ScanTwist { information, pull }) = (freedom.axes(), seen.scan);
-        // The twist of a scan differs from the mean between the frames around it. A turn takes no longer than they are apart.
+        // The twist of a scan differs from the mean between the frames around it. A turn takes no longer than they are
+        // apart.
         let (half, turn_s) = (0.25 * (before + after), 0.5 * (before + after));
         let window = variance_of_means(&[(1.0, -half, half), (-1.0, -before, after)]);
         let mut sum = information;
@@ -140,7 +145,8 @@ impl ScanTime {
         (self.rows, self.frames) = (self.rows + axes.len(), self.frames + 1);
     }
 
-    /// The signed duration of a turn, seconds, and its deviation; `None` while there are too few frames, or none that move.
+    /// The signed duration of a turn, seconds, and its deviation; `None` while there are too few frames, or none that
+    /// move.
     pub fn turn_s(&self) -> Option<Figure> {
         if self.frames < MIN_FRAMES || !(self.information > 0.0) {
             return None;
@@ -150,7 +156,7 @@ impl ScanTime {
         Some((turn_s, (scatter.max(1.0) / self.information).sqrt()))
     }
 
-    /// The duration, if it is certain and is not what is stated.
+    /// The learnt duration, if it is certain and contradicts the stated one.
     fn contradiction(&self) -> Option<Figure> {
         let (turn_s, sigma) = self.turn_s()?;
         let off = (turn_s - self.stated.0).abs();
@@ -158,8 +164,8 @@ impl ScanTime {
         (is_exact && off > CERTAIN * sigma && off > MATTERS * self.stated.0.abs()).then_some((turn_s, sigma))
     }
 
-    /// The displacement from the first column to the last that a scan shows beyond doubt, metres and radians in the robot's axes:
-    /// by the scan itself, or by the duration that was learnt.
+    /// The displacement from the first column to the last that a scan shows beyond doubt, metres and radians in the
+    /// robot's axes: by the scan itself, or by the duration that was learnt.
     pub fn visible(&self, scan: Option<&ScanTwist>, twist: &Vector, freedom: Freedom) -> Option<Vector> {
         let Some(ScanTwist { information, pull }) = scan else {
             return self.contradiction().map(|(turn_s, _)| twist.map(|x| turn_s * x));
@@ -169,8 +175,8 @@ impl ScanTime {
         (quadratic(information, &moved) > least).then_some(moved)
     }
 
-    /// A line if scans take another time than stated. `late` is how much later than their stamps scans are dated by odometry,
-    /// seconds from the stamp to the middle, if that is known. The second value is true if this explains it.
+    /// A line if scans take another time than stated. `late` is how much later than their stamps scans are dated by
+    /// odometry, seconds from the stamp to the middle, if that is known. The second value is true if this explains it.
     pub fn warning(&self, late: Option<Figure>) -> Option<(String, bool)> {
         let (stated_s, stated_at) = self.stated;
         let found = self.contradiction();
@@ -199,7 +205,8 @@ impl ScanTime {
     }
 }
 
-/// The place of the stamp in a scan whose middle is so many seconds after it, if no other one is likely.
+/// The place of the stamp in a scan, by the seconds from the stamp to the middle; `None` if a second place is
+/// possible.
 fn stamp_of(turn_s: f64, (late, sigma): Figure) -> Option<StampAt> {
     let off = |at: StampAt| (late - (0.5 - at.share()) * turn_s.abs()).abs();
     let mut places = [StampAt::First, StampAt::Middle, StampAt::Last];
@@ -214,9 +221,9 @@ fn rounded(figure: f64, sigma: f64) -> String {
 }
 
 impl Localizer {
-    /// Learns the duration of scans from a frame. For a scan of which nobody says when its points were measured, it returns by how
-    /// much these move from the first column to the last, metres and radians in the robot's axes, if they visibly do, and the pose in
-    /// the middle of the scan.
+    /// Learns the duration of scans from a frame. If the sensor states no times, it returns the displacement of the
+    /// points from the first column to the last, metres and radians in the robot's axes, if it is significant, and
+    /// the pose in the middle of the scan.
     pub(super) fn learn_scan_time(
         &mut self,
         world: &World,
@@ -250,8 +257,8 @@ impl Localizer {
         Ok((self.timing.scan_time.visible(said.as_ref(), self.velocity.twist(), freedom), middle))
     }
 
-    /// What a scan says of its points' motion from the first column to the last, if nobody says when they were measured, and the
-    /// pose in its middle.
+    /// What a scan says of its points' motion from the first column to the last, if nobody says when they were
+    /// measured, and the pose in its middle.
     fn said_by_untimed(&mut self, world: &World, frame: &Frame, step: &Step) -> Result<Option<(ScanTwist, Pose)>> {
         let (freedom, seconds) = (self.estimator.options.freedom, self.velocity.seconds());
         let moved = self.velocity.twist().map(|x| x * seconds);
@@ -285,9 +292,9 @@ impl Localizer {
         Ok(said)
     }
 
-    /// A pose at a stamp of which nobody says to which point of the scan it belongs, while these move by `moved` in the robot's
-    /// axes: any time of the scan is as likely for the pose (a variance of 1/12), and each of its ends and its middle for the stamp
-    /// (1/6). The pose is also off by what the motion does to the match.
+    /// A pose with the uncertainty of unknown times, while the points of a scan move by `moved` in the robot's axes.
+    /// The pose may belong to any time of the scan (a variance of 1/12), and the stamp to the first ray, the middle
+    /// or the last (1/6). The match itself adds its bias.
     pub(super) fn widened_by_turn(&self, pose: &PoseEstimate, moved: &Vector) -> PoseEstimate {
         let axes = self.estimator.options.freedom.axes();
         let bias = &self.timing.scan_time.bias;

@@ -99,8 +99,8 @@ pub struct Velocity {
     /// The twist during the scan of the latest frame, and how much the twists of scans in a row differ, and the motions between them:
     /// variances in one second, and the scans that taught them.
     scan: Option<DuringScan>,
-    scan_change: [(f64, f64); 6],
-    scan_bend: [(f64, f64); 6],
+    scan_change: [Learnt; 6],
+    scan_bend: [Learnt; 6],
     /// What the motions before say of the one that the next frame is compared with.
     foretold: Option<[Foretold; 6]>,
 }
@@ -113,6 +113,27 @@ struct Foretold {
     window: f64,
     /// Its variance by the errors of the frames.
     noise: f64,
+}
+
+/// A variance in one second that scans teach; the stated one counts as one scan.
+#[derive(Clone, Copy, Debug)]
+struct Learnt {
+    mean: f64,
+    /// By the latest scan alone.
+    latest: f64,
+    scans: f64,
+}
+
+impl Learnt {
+    fn stated((variance, _): (f64, f64)) -> Self {
+        Self { mean: variance, latest: 0.0, scans: 1.0 }
+    }
+
+    fn add(&mut self, sample: f64) {
+        self.scans += 1.0;
+        self.mean += (sample - self.mean) * (1.0 / self.scans).max(FORGET);
+        self.latest = sample;
+    }
 }
 
 /// One number of the twist by two measurements.
@@ -172,8 +193,8 @@ impl Velocity {
             earlier,
             learnt,
             scan: None,
-            scan_change: learnt,
-            scan_bend: learnt,
+            scan_change: learnt.map(Learnt::stated),
+            scan_bend: learnt.map(Learnt::stated),
             foretold,
         };
         (0..2).for_each(|k| unknown.covariance[SCALES + k][SCALES + k] = noise.scale.powi(2));
@@ -419,8 +440,9 @@ impl Velocity {
     }
 
     /// Variance of the twist's change in one second, as scans taught it.
-    fn scan_density(&self, learnt: &[(f64, f64); 6], i: usize) -> f64 {
-        learnt[i].0.max(LEAST_CHANGE * self.noise.density(i))
+    fn scan_density(&self, learnt: &[Learnt; 6], i: usize) -> f64 {
+        // A robot that has driven evenly may have begun to turn in the latest scan.
+        learnt[i].mean.max(learnt[i].latest).max(LEAST_CHANGE * self.noise.density(i))
     }
 
     /// Learns from the twist during the latest frame's scan how much the twist changes from scan to scan, and how far the motion
@@ -435,12 +457,9 @@ impl Velocity {
         for i in (0..6).filter(|i| scan.is_seen[*i] && before.is_seen[*i]) {
             let noise = scan.covariance[i][i] + before.covariance[i][i];
             let off = scan.twist[i] - before.twist[i];
-            add_sample(&mut self.scan_change[i], (off * off - noise) / change);
+            self.scan_change[i].add((off * off - noise) / change);
             let off = self.twist[i] - 0.5 * (scan.twist[i] + before.twist[i]);
-            add_sample(
-                &mut self.scan_bend[i],
-                (off * off - 0.25 * noise - self.covariance[TWIST + i][TWIST + i]) / bend,
-            );
+            self.scan_bend[i].add((off * off - 0.25 * noise - self.covariance[TWIST + i][TWIST + i]) / bend);
         }
     }
 
@@ -608,12 +627,6 @@ impl Velocity {
             }
         }
     }
-}
-
-/// Adds what a scan says to a variance: what is stated counts as one.
-fn add_sample((variance, scans): &mut (f64, f64), seen: f64) {
-    *scans += 1.0;
-    *variance += (seen - *variance) * (1.0 / (1.0 + *scans)).max(FORGET);
 }
 
 fn restricted_vector(v: &Vector, freedom: Freedom) -> Vector {

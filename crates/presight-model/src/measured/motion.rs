@@ -4,11 +4,12 @@ use crate::error::{Error, Result};
 use crate::geometry::{Pose, Twist};
 use std::sync::Arc;
 
-/// Maximum seconds between two poses of which the motion of a scan is made. A robot that accelerates by 1 m/s² leaves the
+/// Maximum seconds between two poses that give the motion of a scan. A robot that accelerates by 1 m/s² leaves the
 /// path of constant velocity between poses that far apart by 3 cm, the noise of a lidar.
 pub const MAX_POSE_GAP_S: f64 = 0.5;
 
-/// Maximum distance of a path between its poses from the arc of constant velocity, metres: a hundredth of a lidar's noise.
+/// Maximum distance of a path between its poses from the arc of constant velocity, metres: a hundredth of a lidar's
+/// noise.
 const MAX_SAGITTA: f64 = 1e-4;
 /// Maximum number of poses of a path for each pose given.
 const MAX_PIECES: usize = 64;
@@ -35,8 +36,8 @@ impl ScanMotion {
         Ok(Self::Path(poses.into()))
     }
 
-    /// The motion through poses of the robot in any frame that stays, by seconds after the stamp, ascending: with a constant
-    /// twist from each to the next, for the stamp and the seconds after it from the first to the last ray.
+    /// The motion through poses of the robot in any frame that stays, by seconds after the stamp, ascending: with a
+    /// constant twist from each to the next, for the stamp and the seconds after it from the first to the last ray.
     ///
     /// # Examples
     /// ```
@@ -49,8 +50,8 @@ impl ScanMotion {
     /// ```
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] for fewer than two poses, for times that do not ascend, for poses that do not reach over
-    /// the scan, and for a gap of more than [`MAX_POSE_GAP_S`] in it.
+    /// [`crate::ErrorKind::Invalid`] for fewer than two poses, for times that do not ascend, for poses that do not
+    /// reach over the scan, and for a gap of more than [`MAX_POSE_GAP_S`] in it.
     pub fn along(poses: &[(f64, Pose)], [first, last]: [f64; 2]) -> Result<Self> {
         check_ascending(poses)?;
         let (from, to) = (first.min(0.0), last.max(0.0));
@@ -58,7 +59,8 @@ impl ScanMotion {
         let mut end = poses.partition_point(|(t, _)| *t < to - ROUNDING_S);
         if start == 0 || end == poses.len() {
             let what = format!(
-                "poses from {:.3} s to {:.3} s after the stamp do not reach over the scan from {first:.3} s to {last:.3} s",
+                "poses from {:.3} s to {:.3} s do not reach over the scan from {first:.3} s to {last:.3} s after the \
+                 stamp",
                 poses[0].0,
                 poses[poses.len() - 1].0
             );
@@ -157,8 +159,8 @@ mod tests {
     use super::*;
     use glam::DVec3;
 
-    /// By hand: a robot at 2 m/s that turns by 90 degrees a second runs on a circle of radius 4 / pi. After half a second it
-    /// is at (sin 45, 1 - cos 45) times the radius.
+    /// By hand: a robot at 2 m/s that turns by 90 degrees a second runs on a circle of radius 4 / pi. After half a
+    /// second it is at (sin 45, 1 - cos 45) times the radius.
     #[test]
     fn a_motion_follows_the_arc_through_the_poses() {
         let radius = 4.0 / std::f64::consts::PI;

@@ -6,8 +6,8 @@ use crate::geometry::{Pose, Twist};
 use crate::sensor::{Bundles, Sensor};
 use glam::DVec3;
 
-/// The pose of each bundle of a scan: rays that leave the sensor at one point and are measured at one time. Directions of
-/// rays stay those of the sensor, in its axes at the time of the ray.
+/// The pose of each bundle of a scan: rays that leave the sensor at one point and are measured at one time. Directions
+/// of rays stay in the axes of the sensor at the time of the ray.
 #[derive(Clone, Debug)]
 pub struct ScanPoses {
     sensor: Sensor,
@@ -20,8 +20,8 @@ impl ScanPoses {
     /// Without a motion the robot stands.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if the motion does not reach over the scan; [`crate::ErrorKind::System`] if there is
-    /// no memory for the bundles.
+    /// [`crate::ErrorKind::Invalid`] if the motion does not reach over the scan; [`crate::ErrorKind::System`] if there
+    /// is no memory for the bundles.
     pub fn new(sensor: &Sensor, world_from_sensor: &Pose, motion: Option<&ScanMotion>) -> Result<Option<Self>> {
         let moves = motion.is_some_and(|motion| !motion.is_still()) && !sensor.spec().times.is_at_once();
         if !moves && !sensor.has_origins() {

@@ -265,7 +265,7 @@ mod tests {
     fn organized_clouds_keep_rows_and_columns() {
         let points = [DVec3::X, DVec3::new(2.0, 1.0, 0.0), DVec3::NAN, DVec3::ZERO];
         let grid = range_grid(&points, Some((2, 2))).unwrap();
-        // Without a point: the number of the column, or else the smallest.
+        // A pixel without a point has the number of its column, or else the smallest.
         assert_eq!(grid.spread(&[0.3, 0.1, 7.0, 8.0]), [0.3, 0.1, 0.3, 0.1]);
         let RangeGrid { table, ranges, points: own } = grid;
         assert_eq!(own, [Some(0), Some(1), None, None]);

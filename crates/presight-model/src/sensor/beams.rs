@@ -1,6 +1,6 @@
 //! Beam tables: spinning sensors whose rows have an angle, an origin and a firing time each.
 
-use super::rays::MAX_ORIGIN;
+use super::rays::{MAX_ORIGIN, is_near};
 use super::scanner::cos_sin_deg;
 use super::times::MAX_SCAN_S;
 use super::{Angles, RayTable, RayTimes, StampAt};
@@ -117,6 +117,7 @@ impl BeamTable {
         check_origins(&self.origins).map_err(|e| e.at("origins"))?;
         check_origins(&[lead]).map_err(|e| e.at("range_lead"))?;
         check_seconds(&self.time_offsets_s).map_err(|e| e.at("time_offsets_s"))?;
+        check_seconds(&[self.turn_s]).map_err(|e| e.at("turn_s"))?;
         self.body_from_head.check_as(ErrorKind::Invalid).map_err(|e| e.at("body_from_head"))?;
         if let Some([first, last]) = self.columns
             && first.max(last) as usize >= columns
@@ -253,7 +254,7 @@ impl RayTable {
 
 /// Refuses origins that are not finite or beyond [`MAX_ORIGIN`].
 fn check_origins(origins: &[DVec3]) -> Result<()> {
-    match origins.iter().find(|o| !(o.abs().max_element() <= MAX_ORIGIN)) {
+    match origins.iter().find(|o| !is_near(**o)) {
         Some(bad) => {
             let remedy = format!("give metres, not millimetres, at most {MAX_ORIGIN}");
             Err(Error::invalid(format!("{bad} m from the axis of the head"), remedy))
@@ -262,13 +263,10 @@ fn check_origins(origins: &[DVec3]) -> Result<()> {
     }
 }
 
-/// Refuses times of rows that are not finite or longer than any scan.
+/// Refuses times that are not finite or longer than any scan.
 fn check_seconds(seconds: &[f64]) -> Result<()> {
     match seconds.iter().find(|t| !(t.abs() <= MAX_SCAN_S)) {
-        Some(bad) => {
-            let remedy = format!("give seconds after the time of the column, at most {MAX_SCAN_S}");
-            Err(Error::invalid(format!("{bad} s"), remedy))
-        }
+        Some(bad) => Err(Error::invalid(format!("{bad} s"), format!("give seconds, at most {MAX_SCAN_S}"))),
         None => Ok(()),
     }
 }
@@ -360,6 +358,7 @@ mod tests {
         refused("origins", &|b| b.origins = vec![DVec3::new(0.0, f64::NAN, 0.0)]);
         refused("range_lead", &|b| b.range_lead = f64::INFINITY);
         refused("time_offsets_s", &|b| b.time_offsets_s = vec![f64::NAN; 32]);
+        refused("turn_s", &|b| b.turn_s = 61.0);
         refused("columns", &|b| b.columns = Some([0, 4]));
         refused("without stagger", &|b| b.is_destaggered = true);
         refused("0 x 32", &|b| b.azimuth = Angles::Listed(Vec::new()));

@@ -8,6 +8,11 @@ use std::sync::Arc;
 /// Largest distance of the origin of a ray from the origin of its sensor along each axis, metres: no housing is larger.
 pub const MAX_ORIGIN: f64 = 2.0;
 
+/// True for a finite origin within [`MAX_ORIGIN`]. The largest element of a vector is no NaN if another one is a number.
+pub(super) fn is_near(origin: DVec3) -> bool {
+    origin.is_finite() && origin.abs().max_element() <= MAX_ORIGIN
+}
+
 /// Rays, row-major, body axes. They start at the origin of the sensor, or each at its own point.
 #[derive(Clone, Debug)]
 pub struct RayTable {
@@ -77,7 +82,7 @@ impl RayTable {
             let what = format!("{} origins for {} x {} rays", origins.len(), self.width, self.height);
             return Err(Error::invalid(what, "give one origin per ray, row by row"));
         }
-        if let Some(at) = origins.iter().position(|o| !(o.abs().max_element() <= MAX_ORIGIN)) {
+        if let Some(at) = origins.iter().position(|o| !is_near(*o)) {
             let what = format!("an origin at {} m", origins[at]);
             let remedy = format!("give metres from the sensor's own origin, at most {MAX_ORIGIN} along each axis");
             return Err(Error::invalid(what, remedy).at(format!("ray {at}")));

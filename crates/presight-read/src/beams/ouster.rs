@@ -297,7 +297,7 @@ impl<'a> Metadata<'a> {
             return Err(self.fault(LIDAR_TO_SENSOR, "it is not a rotation with a translation", remedy));
         }
         let translation = DVec3::new(m[3], m[7], m[11]) * MILLIMETRE;
-        if !(translation.abs().max_element() <= 1.0) {
+        if !translation.is_finite() || translation.abs().max_element() > 1.0 {
             let remedy = "give millimetres from the lidar's origin to the sensor's";
             return Err(self.fault(LIDAR_TO_SENSOR, format!("it moves the lidar by {translation} m"), remedy));
         }

@@ -8,19 +8,20 @@ const FIELDS: [&str; 4] = ["t", "time", "timestamp", "offset_time"];
 
 /// Seconds of the longest scan: see [`presight_model::sensor::RayTimes`].
 const MAX_SCAN_S: f64 = 60.0;
-/// No clock counts that many seconds: as a number of seconds it is a time three thousand years from now, as nanoseconds two
-/// minutes.
+/// No clock counts that many seconds: as a number of seconds it is a time three thousand years from now, as nanoseconds
+/// two minutes.
 const MIN_NANOSECONDS: f64 = 1e11;
-/// A driver stamps a scan within this time of its rays, seconds: it waits for one turn and sends it. Times farther from the
-/// stamp come from another clock.
+/// A driver stamps a scan within this time of its rays, seconds: it waits for one turn and sends it. Times farther from
+/// the stamp come from another clock.
 const MAX_STAMP_DISTANCE_S: f64 = 1.0;
-/// A shorter scan than this is a wrong unit: no lidar makes a thousand scans a second. At 2 m/s it is a way of 2 mm.
+/// A shorter scan than this is a wrong unit: no lidar makes a thousand scans a second. A robot at 2 m/s moves by 2 mm
+/// in it.
 const MIN_SCAN_S: f64 = 1e-3;
-/// The same for scans whose distance in time is known, as a part of it: microseconds taken as nanoseconds are a thousandth,
-/// and the narrowest windows of spinning lidars a tenth.
+/// Minimum duration of a scan as a part of the known time between scans: microseconds taken as nanoseconds are a
+/// thousandth of it, and the narrowest windows of spinning lidars a tenth.
 const MIN_SCAN_PART: f64 = 0.05;
-/// Fewer different times than this among as many points as [`MANY`] were rounded: at 1.5 m/s and 0.1 s for a scan, points
-/// move by over 9 mm from one time to the next.
+/// Fewer different times than this among as many points as [`MANY`] were rounded: at 1.5 m/s and 0.1 s for a scan,
+/// points move by over 9 mm from one time to the next.
 const MIN_DIFFERENT: usize = 16;
 const MANY: usize = 256;
 
@@ -40,20 +41,20 @@ pub struct PointTimes {
 pub(crate) struct RaySeconds {
     /// The stamp of the scan, seconds.
     pub stamp: f64,
-    /// Seconds after it for each point; 0 for one without a reading. `None` if they say nothing.
+    /// Seconds after it for each point; 0 for one without a reading. `None` if the times are not usable.
     pub seconds: Option<Vec<f32>>,
-    /// How the field was taken, and what is odd about it.
+    /// The interpretation of the field, and oddities of its times.
     pub notices: Vec<String>,
 }
 
 impl RaySeconds {
-    /// Of a cloud without times.
+    /// The stamp alone, for a cloud without times.
     pub fn none(stamp: f64) -> Self {
         Self { stamp, seconds: None, notices: Vec::new() }
     }
 }
 
-/// What is known of the time of a scan.
+/// The time of a scan as known without its points.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum ScanStamp {
     /// The stamp, seconds.
@@ -62,7 +63,8 @@ pub(crate) enum ScanStamp {
     Counted(f64),
 }
 
-/// The field of times among the names of fields, as its index. A `t` beside an `s` is a place in a texture.
+/// The index of the field of times among the names of fields. In a file that also has a field `s`, `t` is a coordinate
+/// of a texture.
 pub(crate) fn field_of<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Option<usize> {
     let has_texture = names.clone().any(|name| name == "s");
     let place = |field: &&str| names.clone().position(|name| name == *field);
@@ -70,11 +72,12 @@ pub(crate) fn field_of<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Opti
 }
 
 impl PointTimes {
-    /// Seconds after the stamp, from the times of the points that were measured. Scans come every `period` seconds, if that is
-    /// known.
+    /// Seconds after the stamp, from the times of the points that were measured. Scans come every `period` seconds, if
+    /// that is known.
     ///
-    /// Whole numbers are nanoseconds. Others are seconds, unless they span over a minute or are too large for a clock: then
-    /// they are nanoseconds, too. They count from the stamp or are times of a clock, whichever puts them nearer to the stamp.
+    /// Whole numbers are nanoseconds. Others are seconds, unless they span over a minute or are too large for a clock:
+    /// then they are also nanoseconds. They count from the stamp or are times of a clock, whichever puts them nearer to
+    /// the stamp.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] if they span over a minute in either unit.
@@ -91,7 +94,7 @@ impl PointTimes {
         let none = |stamp, notice: String| Ok(RaySeconds { stamp, seconds: None, notices: vec![notice] });
         let field = &self.field;
         if !(min <= max) {
-            return none(given, format!("the field {field} has no time: points count as measured at the stamp"));
+            return none(given, format!("the field {field} has no time: points are taken as measured at the stamp"));
         }
         let (unit, in_unit) = self.unit(min, max);
         let (first, last) = (min * unit, max * unit);
@@ -105,7 +108,7 @@ impl PointTimes {
             let stamp = if let Origin::OwnClock = origin { first } else { given };
             return none(
                 stamp,
-                format!("all times in the field {field} are the same: points count as measured at the stamp"),
+                format!("all times in the field {field} are the same: points are taken as measured at the stamp"),
             );
         }
         let (stamp, zero) = origin.stamp_and_zero(first, given);
@@ -125,7 +128,7 @@ impl PointTimes {
         if is_seconds { (1.0, "seconds") } else { (1e-9, "nanoseconds") }
     }
 
-    /// What speaks against the times.
+    /// An oddity of the times.
     fn oddity(&self, span: f64, period: Option<f64>, measured: impl Iterator<Item = f64>) -> Option<String> {
         let field = &self.field;
         let expected = period.map_or(MIN_SCAN_S, |period| (MIN_SCAN_PART * period).max(MIN_SCAN_S));
@@ -162,7 +165,7 @@ enum Origin {
 }
 
 impl Origin {
-    /// Of times from first to last, seconds.
+    /// The origin of times from first to last, seconds.
     fn of(first: f64, last: f64, stamp: ScanStamp) -> Self {
         let distance = |zero: f64| (first - zero).max(zero - last).max(0.0);
         match stamp {
@@ -192,7 +195,7 @@ impl Origin {
             Self::Stamp => "counted from the stamp",
             Self::Clock => "on the clock of the stamps",
             Self::OwnClock => "which also give the stamp, that of the first ray",
-            Self::OtherClock => "of another clock than the stamps: the first ray counts as measured at the stamp",
+            Self::OtherClock => "of another clock than the stamps: the first ray is taken as measured at the stamp",
         }
     }
 }
@@ -224,7 +227,7 @@ mod tests {
             (on(stamp - 0.1, 1.0), false, before, "seconds, on the clock"),
             (on(stamp, 1e9), true, after, "nanoseconds, on the clock"),
             (on(stamp, 1e9), false, after, "nanoseconds, on the clock"),
-            // A lidar that nobody gave the time.
+            // A lidar whose clock is not set.
             (on(345.0, 1.0), false, after, "seconds, of another clock"),
             (on(345.0, 1e9), true, after, "nanoseconds, of another clock"),
         ] {
@@ -262,7 +265,7 @@ mod tests {
         let long = PointTimes { field: "t".into(), values: vec![0.0, 61e9], is_whole: true };
         let e = long.after(known, None, |_| true).unwrap_err();
         assert!(e.to_string().contains("span 61.000 s") && !e.remedy().is_empty(), "{e}");
-        // What was not measured does not count.
+        // Points without a reading have no influence.
         let mixed = PointTimes { field: "t".into(), values: vec![0.0, 0.1, 1e30, f64::NAN], is_whole: false };
         assert_eq!(mixed.after(known, None, |i| i < 2).unwrap().seconds.unwrap(), [0.0, 0.1, 0.0, 0.0]);
     }

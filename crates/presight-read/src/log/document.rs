@@ -1,11 +1,12 @@
 //! Planar laser scans in the form of public data sets: one JSON object with a list `scans`.
 //!
 //! Keys of the document: `beams`, `angle_min`, `angle_max` (radians), `counter_clockwise`, `range_min` (default 0),
-//! `range_max`, `range_std`, `turn_s` (seconds of a scan, see [`RayTimes::Columns`]; default 0), `stamp` (the ray to which
-//! `t` belongs: `first`, `middle` or `last`; default `first`), `sensor_on_robot` {x, y, z, yaw}; or in an object `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`, `range_max`. Keys of a scan:
-//! `ranges` (metres, and the other readings of [`super::lines`]), and optionally `valid` (a digit for each beam, 1 for
-//! a reading), `t` (seconds; default: the index of the scan), `times` and `twist` as in [`super::lines`], `odometry_increment` [x, y, yaw] and the robot's pose {x,
-//! y, yaw} under `robot_pose`, `reference_pose` or `pose_in_model`. Other keys are ignored.
+//! `range_max`, `range_std`, `turn_s` (seconds of a scan, see [`RayTimes::Columns`]; default 0), `stamp` (the ray to
+//! which `t` belongs: `first`, `middle` or `last`; default `first`), `sensor_on_robot` {x, y, z, yaw}; or in an object
+//! `scan`: `beams`, `angle_min_deg`, `step_deg`, `height_m`, `range_max`. Keys of a scan: `ranges` (metres, and the
+//! other readings of [`super::lines`]), and optionally `valid` (a digit for each beam, 1 for a reading), `t` (seconds;
+//! default: the index of the scan), `times` and `twist` as in [`super::lines`], `odometry_increment` [x, y, yaw] and
+//! the robot's pose {x, y, yaw} under `robot_pose`, `reference_pose` or `pose_in_model`. Other keys are ignored.
 
 use super::readings::{Reading, with_quoted_words};
 use super::{Log, LogFrame, check_time};

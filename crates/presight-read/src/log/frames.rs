@@ -51,8 +51,9 @@ pub struct Recorded {
 
 /// The frames of a log, in the order of time. The first error ends them.
 ///
-/// A frame whose rays take time carries the motion of the robot meanwhile ([`Frame::scan_motion`]): its own twist, or by
-/// odometry between neighbouring frames. For a scan after its stamp that needs the next frame, which is then read ahead.
+/// A frame whose rays take time carries the motion of the robot during the scan ([`Frame::scan_motion`]): its own
+/// twist, or by odometry between neighbouring frames. For a scan after its stamp that needs the next frame, which is
+/// then read ahead.
 pub struct Frames {
     sensor: Sensor,
     frames: Box<dyn Iterator<Item = Result<Observation>> + Send>,
@@ -213,16 +214,16 @@ impl Frames {
         }
     }
 
-    /// Takes the motion of scans from the log's reference poses, which are preferred to odometry: for work that takes the
-    /// reference as the pose of the robot. Estimates must not use it.
+    /// Takes the motion of scans from the log's reference poses, which are preferred to odometry: for work that takes
+    /// the reference as the pose of the robot. Estimates must not use it.
     #[must_use]
     pub fn moving_by_reference(mut self) -> Self {
         self.motions.source = Source::Reference;
         self
     }
 
-    /// Takes the motion of scans from a trajectory of the robot, which is preferred to odometry: for work that takes it as the
-    /// pose of the robot.
+    /// Takes the motion of scans from a trajectory of the robot, which is preferred to odometry: for work that takes it
+    /// as the pose of the robot.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] if its times do not ascend.
@@ -246,8 +247,8 @@ impl Frames {
         self.has_planar_poses
     }
 
-    /// Notices on parts that were left out so far, one that counts the readings by their meaning, unless every reading is a
-    /// distance, and one if the times cannot be seconds.
+    /// Notices on parts that were left out so far, one that counts the readings by their meaning, unless every reading
+    /// is a distance, and one if the times cannot be seconds.
     pub fn notices(&self) -> Vec<String> {
         self.notices.all().into_iter().chain(self.readings.notice()).chain(self.period.notice()).collect()
     }

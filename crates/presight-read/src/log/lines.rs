@@ -13,8 +13,8 @@
 //!   none.
 //! - `times`, optional: seconds after `t` at which each ray was measured, negative before it. Without them they are the
 //!   sensor's; if both are there, they must agree.
-//! - `twist`, optional: the robot's velocity while the rays were measured, `[vx, vy, vz, wx, wy, wz]` in metres and radians
-//!   per second, along and about the robot's own axes.
+//! - `twist`, optional: the robot's velocity while the rays were measured, `[vx, vy, vz, wx, wy, wz]` in metres and
+//!   radians per second, along and about the robot's own axes.
 //! - `odometry`, optional: the robot's motion since the previous frame, previous_robot_from_robot, as
 //!   `[x, y, z, roll_deg, pitch_deg, yaw_deg]` or `[x, y, z, qx, qy, qz, qw]`.
 //! - `reference`, optional: world_from_robot, in the same form.
@@ -74,8 +74,8 @@ pub fn header(sensor: &SensorSpec) -> String {
 /// The line of a frame, without the line break. It reads back bit for bit.
 ///
 /// # Errors
-/// [`crate::ErrorKind::Invalid`] if a time is not finite, an intensity is infinite, or a pose or the twist is invalid: the
-/// line could not be read back.
+/// [`crate::ErrorKind::Invalid`] if a time is not finite, an intensity is infinite, or a pose or the twist is invalid:
+/// the line could not be read back.
 pub fn line(frame: &LogFrame) -> Result<String> {
     check_numbers(frame)?;
     let range: Vec<String> = frame.range.iter().map(|r| reading(*r)).collect();

@@ -49,8 +49,8 @@ pub struct LogFrame {
     pub range: Vec<f32>,
     /// Strength of the echo along each ray, from 0 to 1 (as bright as a retroreflector); NaN for no echo.
     pub intensities: Option<Vec<f32>>,
-    /// Seconds after `time` at which each ray was measured, row-major; negative before it. `None` if they are those of the
-    /// sensor.
+    /// Seconds after `time` at which each ray was measured, row-major; negative before it. `None` for the
+    /// times that the sensor states.
     pub times: Option<Vec<f32>>,
     /// The robot's velocity while the rays were measured, along and about its own axes.
     pub twist: Option<Twist>,
@@ -66,7 +66,7 @@ impl LogFrame {
         Self { time, range, intensities: None, times: None, twist: None, odometry: None, reference: None }
     }
 
-    /// A frame as a line of a log. Of the motion during the scan a line holds a constant twist only.
+    /// A frame as a line of a log, which can hold a constant twist but no other motion during the scan.
     pub fn of(frame: &Frame, reference: Option<RobotPose>) -> Self {
         let times = match &frame.sensor().spec().times {
             RayTimes::Listed(times) => Some(times.to_vec()),
@@ -90,7 +90,7 @@ impl LogFrame {
     /// Converts to a frame for the estimator. `noise` is the odometry's, which logs do not contain.
     ///
     /// # Errors
-    /// As [`Frame::new`]; [`presight_model::ErrorKind::Invalid`] if the times of the rays contradict those of the sensor.
+    /// As [`Frame::new`]; [`presight_model::ErrorKind::Invalid`] if the times of the rays contradict the sensor.
     pub fn into_frame(self, sensor: &Sensor, noise: &OdometryNoise) -> Result<Frame> {
         let sensor =
             self.times.as_ref().map_or_else(|| Ok(sensor.clone()), |times| ray_times::listed(sensor, times))?;
@@ -117,8 +117,8 @@ impl LogFrame {
         self.reference.map(|robot| robot.world_from_robot())
     }
 
-    /// Checks the size of the frame, that time, twist and poses are finite, that intensities are from 0 to 1, and that the
-    /// times of the rays do not contradict those of the sensor.
+    /// Checks the size of the frame, that time, twist and poses are finite, that intensities are from 0 to 1, and that
+    /// the times of the rays do not contradict the sensor.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] naming the wrong value.

@@ -1,17 +1,18 @@
-//! Times of single rays beside those that a sensor states.
+//! Times of single rays, and their agreement with the times that a sensor states.
 
 use presight_model::error::{Error, Result};
 use presight_model::sensor::{RayTimes, Sensor, SensorSpec};
 
-/// Times of rays contradict the sensor's own if they differ by more than this part of its scan. A robot at 1.5 m/s that takes
-/// 0.1 s for a scan moves by 15 mm meanwhile, less than the noise of a lidar; the wrong end of the scan is off by all of it.
+/// Times of rays contradict the sensor if they differ by more than this part of its scan. A robot at 1.5 m/s that takes
+/// 0.1 s for a scan moves by 15 mm in a tenth of it, less than the noise of a lidar; times from the wrong end of the
+/// scan are off by all of it.
 const MAX_DEVIATION: f64 = 0.1;
 
 /// Checks the seconds after the stamp of each ray, row by row.
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Invalid`] if there is not one for each ray, one is not finite or too far from the stamp, or
-/// they contradict the times of the sensor.
+/// [`presight_model::ErrorKind::Invalid`] if there is not one for each ray, one is not finite or too far from the
+/// stamp, or they contradict the times of the sensor.
 pub(super) fn check(times: &[f32], sensor: &SensorSpec) -> Result<()> {
     let size = sensor.geometry.size();
     let listed = RayTimes::Listed(times.into());
@@ -44,8 +45,8 @@ pub(super) fn listed(sensor: &Sensor, times: &[f32]) -> Result<Sensor> {
     Sensor::new(sensor.spec().clone().with_times(RayTimes::Listed(times.into())))
 }
 
-/// The times of the rays of a cloud, an image of `size` columns and rows, from those of its points or of the given sensor, with
-/// a notice on what is left out.
+/// The times of the rays of a cloud, an image of `size` columns and rows: times of its points, or else of the given
+/// sensor. A notice says if the sensor's times cannot be used.
 ///
 /// # Errors
 /// [`presight_model::ErrorKind::Invalid`] if both are there and contradict each other.
@@ -62,8 +63,8 @@ pub(super) fn of_cloud(
         if fits {
             return Ok((spec.times.clone(), None));
         }
-        let notice = "the sensor states when its columns are measured, and the points have neither columns of it nor times: \
-                      they count as measured at the stamp";
+        let notice = "the sensor states the times of its columns, but the points have neither its columns nor times: \
+                      they are taken as measured at the stamp";
         return Ok((RayTimes::AtOnce, Some(notice)));
     };
     let times = RayTimes::Listed(own.into());

@@ -1,4 +1,4 @@
-//! The motion of the robot during each scan, from what the log says of its neighbours.
+//! The motion of the robot during each scan, from poses and odometry of the neighbouring frames.
 
 use super::Observation;
 use super::notices::Notices;
@@ -6,7 +6,7 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, Twist};
 use presight_model::measured::{MAX_POSE_GAP_S, ScanMotion};
 
-/// Where the motion of scans comes from, if not from the frame itself.
+/// The source of the motion of scans for frames without their own.
 #[derive(Clone, Debug, Default)]
 pub(super) enum Source {
     /// Odometry between neighbouring frames.
@@ -42,11 +42,11 @@ impl ScanMotions {
         }
     }
 
-    /// True if the motion of a frame also depends on the next frame.
+    /// True if the motion of a frame also depends on the next frame: of a scan after its stamp, and of the first frame.
     pub fn needs_next(&self, now: &Observation) -> bool {
         let [_, last] = now.frame.sensor().scan_interval();
         let by_trajectory = matches!(self.source, Source::Trajectory(_)) && now.frame.motion.is_none();
-        last > 0.0 && self.is_sought(now) && !by_trajectory
+        (last > 0.0 || self.before.is_none()) && self.is_sought(now) && !by_trajectory
     }
 
     fn is_sought(&self, now: &Observation) -> bool {
@@ -55,7 +55,7 @@ impl ScanMotions {
         !sensor.spec().times.is_at_once() && (now.frame.scan_motion().is_none() || may_give_way)
     }
 
-    /// A frame with its motion, if it takes time and does not say it itself.
+    /// Adds the motion to a frame that takes time and does not bring its own.
     pub fn moved(&mut self, mut now: Observation, next: Option<&Observation>) -> Observation {
         if self.is_sought(&now) {
             match self.find(&now, next) {
@@ -80,9 +80,8 @@ impl ScanMotions {
             match through(&poses, interval) {
                 Ok((motion, reaches)) => {
                     if !reaches && !std::mem::replace(&mut self.has_beyond, true) {
-                        self.notices.add(format!(
-                            "no pose lies beyond the scan at {stamp} s: the motion between the two poses nearest to it is taken"
-                        ));
+                        let what = "the velocity between the two nearest poses is taken";
+                        self.notices.add(format!("no pose lies beyond the scan at {stamp} s: {what}"));
                     }
                     return Ok(motion);
                 }
@@ -128,19 +127,19 @@ impl ScanMotions {
         let [first, last] = now.frame.sensor().scan_interval();
         let why = why.map_or_else(String::new, |why| format!(" ({why})"));
         self.notices.add(format!(
-            "the scan at {} s takes {:.3} s, and the log does not say how the robot moves meanwhile{why}: unless that is \
-             estimated, all of its rays count as measured from one pose",
+            "the scan at {} s takes {:.3} s, and the log does not give the robot's motion during it{why}: unless it is \
+             estimated, all rays are taken as measured from one pose",
             now.frame.stamp,
             last - first
         ));
     }
 }
 
-/// The motion through poses by seconds after the stamp, and true if they reach over the scan. If they do not, it is the twist
-/// between the two poses that are nearest to the middle of the scan.
+/// The motion through poses by seconds after the stamp, and true if they reach over the scan. If they do not, it is the
+/// twist between the two poses that are nearest to the middle of the scan.
 ///
 /// # Errors
-/// As [`ScanMotion::along`], if these two are too far apart, too.
+/// Errors of [`ScanMotion::along`], if these two are also too far apart.
 pub(super) fn through(poses: &[(f64, Pose)], interval: [f64; 2]) -> Result<(ScanMotion, bool)> {
     let e = match ScanMotion::along(poses, interval) {
         Ok(motion) => return Ok((motion, true)),
@@ -149,7 +148,7 @@ pub(super) fn through(poses: &[(f64, Pose)], interval: [f64; 2]) -> Result<(Scan
     let middle = 0.5 * (interval[0] + interval[1]);
     let distance = |pair: &[(f64, Pose)]| (pair[0].0 - middle).max(middle - pair[1].0).max(0.0);
     let nearest = poses.windows(2).min_by(|a, b| distance(a).total_cmp(&distance(b)));
-    // Of times that fall, the difference is below 0.
+    // The difference is below 0 for times that fall.
     let is_near = |pair: &&[(f64, Pose)]| {
         let apart = pair[1].0 - pair[0].0;
         apart > 0.0 && apart <= MAX_POSE_GAP_S && distance(pair) <= MAX_POSE_GAP_S

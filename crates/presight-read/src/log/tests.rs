@@ -81,7 +81,7 @@ fn readings_and_poses_are_what_the_line_says() {
     let text = log(&[
         r#"{"t": 1, "range": [2, null, "inf"]}"#,
         "",
-        r#"{"t": 2.5, "range": ["-inf", 0.5, 30], "odometry": [1,0,0,0,0,90], "reference": [1, 2, 3, 0, 0, 0, 2]}"#,
+        r#"{"t": 2.5, "range": ["-inf", 0.5, 30], "odometry": [1,0,0,0,0,90], "reference": [1, 2, 3, 0, 0, 0, 1]}"#,
     ]);
     let read = frames(&text).unwrap();
     assert_eq!(read.len(), 2);

@@ -195,9 +195,13 @@ impl RaysFile {
     pub fn of(table: &RayTable, spec: &SensorSpec) -> Self {
         let directions = Some(table.directions().iter().map(DVec3::to_array).collect());
         let origins: Option<Vec<_>> = table.origins().map(|origins| origins.iter().map(DVec3::to_array).collect());
-        let common = Self::of_common(spec);
-        let format = if origins.is_some() { BEAMS_FORMAT } else { common.format };
-        Self { format, width: table.width(), height: table.height(), directions, origins, ..common }
+        let (width, height) = (table.width(), table.height());
+        if origins.is_none() {
+            return Self { width, height, directions, ..Self::of_common(spec) };
+        }
+        let common = Self::of_common(&spec.clone().with_times(RayTimes::AtOnce));
+        let timing = TimingTable::of(&spec.times);
+        Self { format: BEAMS_FORMAT, width, height, directions, origins, timing, ..common }
     }
 
     pub fn spec(mut self, name: &str, folder: Option<&Path>) -> Result<SensorSpec> {

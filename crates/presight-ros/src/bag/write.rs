@@ -29,6 +29,7 @@ struct Channel {
 
 impl Record {
     /// A message to write: its recorder's time is its stamp.
+    #[doc(hidden)]
     pub fn of<'a, M: Message<'a>>(topic: &str, stamp_ns: i64, message: &M) -> Self {
         Self { topic: Arc::new(Topic::of::<M>(topic)), log_time_ns: stamp_ns, data: message.encode() }
     }
@@ -36,6 +37,7 @@ impl Record {
 
 impl Topic {
     /// A topic of CDR messages.
+    #[doc(hidden)]
     pub fn of<'a, M: Message<'a>>(name: &str) -> Self {
         Self { name: name.to_owned(), message_type: M::TYPE.to_owned(), encoding: "cdr".to_owned() }
     }
@@ -64,6 +66,7 @@ impl BagWriter {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::System`] if the file cannot be written.
+    #[doc(hidden)]
     pub fn new(path: &Path, file: File) -> Result<Self> {
         let options = WriteOptions::new().compression(None).profile("ros2").library("presight");
         let writer = mcap::Writer::with_options(BufWriter::new(file), options).map_err(|e| fault(path, e))?;

@@ -26,6 +26,7 @@ pub enum MarkerKind {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneMarker {
     /// Stamp, and the frame of the marker.
+    #[doc(hidden)]
     pub header: Header,
     /// With `id` the name of the marker: a later one of the same name replaces it.
     pub namespace: String,

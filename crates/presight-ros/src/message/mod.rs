@@ -68,11 +68,12 @@ impl<'a> Field<'a> for Header {
         Ok(Self { stamp_ns: i64::from(seconds) * NANO + i64::from(nanoseconds), frame_id: String::read(cursor)? })
     }
 
-    /// Seconds beyond 2038 become the last ones that the message can hold.
+    /// A stamp beyond the seconds that the message can hold has the rest in its nanoseconds.
     fn write(&self, sink: &mut Sink) {
         let seconds = self.stamp_ns.div_euclid(NANO).clamp(i32::MIN.into(), i32::MAX.into());
+        let rest = (self.stamp_ns - seconds * NANO).clamp(0, u32::MAX.into());
         (seconds as i32).write(sink);
-        (self.stamp_ns.rem_euclid(NANO) as u32).write(sink);
+        (rest as u32).write(sink);
         self.frame_id.write(sink);
     }
 }

@@ -59,6 +59,10 @@ fields!(Odometry { header, child_frame_id, odom_from_child, pose_covariance, twi
 /// on.
 const MAX_QUATERNION_DEVIATION: f64 = 0.1;
 
+/// Deviation of a normalized quaternion's length from 1: four rounded squares, their sum, a root and a division, each
+/// off by half an epsilon at most.
+const UNIT: f64 = 4.0 * f64::EPSILON;
+
 /// Position, then quaternion x y z w; `None` for a pose that is not one, which is written as NaN.
 impl<'a> Field<'a> for Option<Pose> {
     const MIN_SIZE: usize = 56;
@@ -66,9 +70,14 @@ impl<'a> Field<'a> for Option<Pose> {
     fn read(cursor: &mut Cursor<'a>) -> Result<Self> {
         let [x, y, z, qx, qy, qz, qw] = <[f64; 7]>::read(cursor)?;
         let rotation = DQuat::from_xyzw(qx, qy, qz, qw);
-        let is_unit = (rotation.length() - 1.0).abs() <= MAX_QUATERNION_DEVIATION;
+        let deviation = (rotation.length() - 1.0).abs();
         let translation = DVec3::new(x, y, z);
-        Ok((is_unit && translation.is_finite()).then(|| Pose { translation, rotation: rotation.normalize() }))
+        if !(deviation <= MAX_QUATERNION_DEVIATION && translation.is_finite()) {
+            return Ok(None);
+        }
+        // A rotation that was normalized keeps its bits, so that a written pose reads back equal.
+        let rotation = if deviation <= UNIT { rotation } else { rotation.normalize() };
+        Ok(Some(Pose { translation, rotation }))
     }
 
     fn write(&self, sink: &mut Sink) {

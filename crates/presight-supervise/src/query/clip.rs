@@ -1,6 +1,6 @@
 //! Convex polygons cut by axis-aligned planes.
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use presight_model::geometry::Aabb;
 
 /// The part of a convex polygon inside of a box; empty if they have no point in common.
@@ -31,38 +31,16 @@ fn half(corners: &[DVec3], side: impl Fn(DVec3) -> f64) -> Vec<DVec3> {
     kept
 }
 
-/// Distance of a point from a convex polygon seen from above, metres; 0 inside.
-pub fn distance_from_above(corners: &[DVec3], p: DVec2) -> f64 {
-    let n = corners.len();
-    let at = |i: usize| corners[i % n].truncate();
-    let turns = |i: usize| (at(i + 1) - at(i)).perp_dot(p - at(i));
-    let (mut left, mut right, mut nearest) = (true, true, f64::INFINITY);
-    for i in 0..n {
-        let along = at(i + 1) - at(i);
-        let t = (p - at(i)).dot(along) / along.length_squared();
-        nearest = nearest.min(p.distance(at(i) + along * if t.is_nan() { 0.0 } else { t.clamp(0.0, 1.0) }));
-        let turn = turns(i);
-        (left, right) = (left && turn >= 0.0, right && turn <= 0.0);
-    }
-    let area: f64 = (0..n).map(|i| at(i).perp_dot(at(i + 1))).sum();
-    if (left || right) && area.abs() > 0.0 { 0.0 } else { nearest }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_square_is_cut_and_measured() {
+    fn a_square_is_cut() {
         let square = [[0.0, 0.0, 1.0], [2.0, 0.0, 1.0], [2.0, 2.0, 1.0], [0.0, 2.0, 1.0]].map(DVec3::from);
         let part = |min: [f64; 3], max: [f64; 3]| clipped(square.to_vec(), &Aabb { min: min.into(), max: max.into() });
         let bounds = Aabb::of(part([1.0, -1.0, 0.0], [3.0, 1.5, 2.0]));
         assert_eq!((bounds.min, bounds.max), (DVec3::new(1.0, 0.0, 1.0), DVec3::new(2.0, 1.5, 1.0)));
         assert!(part([0.0, 0.0, 1.1], [2.0, 2.0, 2.0]).is_empty());
-        for (p, far) in [([1.0, 1.0], 0.0), ([3.0, 1.0], 1.0), ([3.0, 3.0], 2f64.sqrt()), ([-0.5, 1.0], 0.5)] {
-            assert!((distance_from_above(&square, p.into()) - far).abs() < 1e-12, "{p:?}");
-        }
-        let wall = [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 0.0, 1.0], [0.0, 0.0, 1.0]].map(DVec3::from);
-        assert_eq!(distance_from_above(&wall, DVec2::new(3.0, 0.0)), 1.0, "a wall has no area from above");
     }
 }

@@ -27,7 +27,8 @@ pub enum FloorPath {
         reached: DVec3,
         /// Distance from there to the end, metres.
         missing: f64,
-        /// Path of the first object on the straight line from there to the end.
+        /// Path of the first object on the straight line from there to the end; `None` if the floor ends, or a sensor
+        /// saw something.
         object: Option<String>,
     },
 }
@@ -37,10 +38,17 @@ const MAX_PLACES: usize = 4_000_000;
 /// Unit of the integer costs, metres.
 const UNIT: f64 = 1e-6;
 
-type At = [i32; 2];
+/// Length of the longest step, in steps of the grid: that of a knight in chess.
+const KNIGHT: f64 = 2.24;
+/// Maximum distance of the floor above or below a straight part of a path, metres.
+const FLAT: f64 = 0.01;
 
-/// Steps to the 8 neighbours, and steps of a knight in chess. With them a path is at most 2.8 % longer than a straight
-/// line.
+type At = [i32; 2];
+/// A position, and the number of its floor.
+type Node = (At, u32);
+
+/// Steps to the 8 neighbours, and steps of a knight in chess. With them a path on the grid is at most 2.8 % longer than
+/// a straight line.
 const STEPS: [At; 16] = [
     [1, 0],
     [1, 1],
@@ -60,8 +68,11 @@ const STEPS: [At; 16] = [
     [2, -1],
 ];
 
-/// Finds a shortest path of a round robot from one point to another on the floor below them, around the objects of the
-/// model and around `seen` boxes (world, metres). The floor may be uneven by 5 cm. Ramps and stairs are not floor.
+/// Finds a short path of a round robot from one point to another on the floor below them, around the objects of the
+/// model and around `seen` boxes (world, metres). Floor polygons must cover the whole robot: edges of the floor, and
+/// steps that are higher than the clearance, keep their distance as walls do. Ramps up to the slope of the options
+/// belong to the floor. The path is a straight line where that is free. Otherwise it is a shortest path on a grid,
+/// whose corners are pulled straight.
 ///
 /// ```
 /// use presight::environment::Environment;
@@ -81,59 +92,64 @@ const STEPS: [At; 16] = [
 /// ```
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Usage`] for options and points out of range, without a floor below the start, for an
-/// end on another floor, and for a start or an end at which the robot cannot stand, naming the obstacle.
+/// [`presight_model::ErrorKind::Usage`] for options and points out of range, without a floor below the start or the
+/// end, and for a start or an end at which the robot cannot stand, naming the obstacle.
 pub fn find_path(world: &World, from: DVec3, to: DVec3, seen: &[Aabb], options: &PathOptions) -> Result<FloorPath> {
     check(options, from, to)?;
-    let no_floor = |place: &str, p: DVec3| {
-        Error::usage(format!("no floor below {}, {}, {}", p.x, p.y, p.z), "give a point above a floor").at(place)
-    };
-    let height = Floor::height_below(world, from).ok_or_else(|| no_floor("the start", from))?;
-    Floor::height_below(world, to).ok_or_else(|| no_floor("the end", to))?;
-    let floor = Floor { world, options, height, seen };
-    let ends = [("the start", from), ("the end", to)];
-    ends.into_iter().try_for_each(|(place, p)| can_stand(&floor, p).map_err(|e| e.at(place)))?;
-    let search = GridSearch { floor, from: from.truncate(), places: RefCell::default(), result: RefCell::default() };
-    let goal = search.nearest_to(to.truncate());
-    let target = to.truncate();
-    let cost = |a: DVec2, b: DVec2| (a.distance(b) / UNIT) as u64;
-    let best = RefCell::new((f64::INFINITY, [0, 0]));
-    let neighbours = |at: &At| {
-        let here = search.point(*at);
-        let mut best = best.borrow_mut();
-        if here.distance(target) < best.0 {
-            *best = (here.distance(target), *at);
+    let floor = Floor::new(world, options, seen);
+    let [from, to] =
+        [("the start", from), ("the end", to)].map(|(place, p)| ground(&floor, p).map_err(|e| e.at(place)));
+    let (from, to) = (from?, to?);
+    let search = GridSearch { floor, options, from, places: RefCell::default(), found: RefCell::default() };
+    if search.sees(from, to) {
+        return Ok(search.found_path(&[from, to]));
+    }
+    let start = ([0, 0], 0);
+    search.places.borrow_mut().insert(start.0, vec![(from.z, true)]);
+    let cost = |a: DVec3, b: DVec3| (a.truncate().distance(b.truncate()) / UNIT) as u64;
+    let best = RefCell::new((f64::INFINITY, from));
+    let neighbours = |node: &Node| {
+        let here = search.point(*node);
+        let (mut best, missing) = (best.borrow_mut(), here.truncate().distance(to.truncate()));
+        if missing < best.0 {
+            *best = (missing, here);
         }
-        let next = STEPS.iter().filter(|step| search.is_free_step(*at, **step));
-        next.map(|step| [at[0] + step[0], at[1] + step[1]])
-            .map(|to| (to, cost(here, search.point(to))))
-            .collect::<Vec<_>>()
+        let next = STEPS.iter().filter_map(|step| search.after(*node, *step));
+        next.map(|next| (next, cost(here, search.point(next)))).collect::<Vec<_>>()
     };
-    let found = astar(&[0, 0], neighbours, |at| cost(search.point(*at), search.point(goal)), |at| *at == goal);
+    // The end may be off the grid.
+    let is_last = |node: &Node| {
+        let here = search.point(*node);
+        here.truncate().distance(to.truncate()) <= options.step && search.sees(here, to)
+    };
+    let found = astar(&start, neighbours, |node| cost(search.point(*node), to), is_last);
     if search.places.borrow().len() >= MAX_PLACES {
         let what = format!("the search evaluated more than {MAX_PLACES} positions");
         return Err(Error::usage(what, "give a longer step"));
     }
     Ok(match found {
-        Some((places, _)) => found_path(&search, &places, to, height),
-        None => search.blocked(best.into_inner().1, to, height),
+        Some((nodes, _)) => {
+            let mut points: Vec<DVec3> = nodes.iter().map(|node| search.point(*node)).collect();
+            points.push(to);
+            search.found_path(&search.pulled(&points))
+        }
+        None => search.blocked(best.into_inner().1, to),
     })
 }
 
 fn check(options: &PathOptions, from: DVec3, to: DVec3) -> Result<()> {
-    let PathOptions { radius, step, clearance, height } = *options;
+    let PathOptions { radius, step, clearance, height, slope_deg } = *options;
     let positive = |x: f64| x > 0.0 && x.is_finite();
-    for (name, value, is_sound) in [
-        ("radius", radius, positive(radius)),
-        ("step", step, positive(step) && step >= 1e-3),
-        ("clearance", clearance, positive(clearance)),
-        ("height", height, positive(height) && height > clearance),
+    let metres = "give metres above 0, the height above the clearance";
+    for (name, value, is_sound, remedy) in [
+        ("radius", radius, positive(radius), metres),
+        ("step", step, positive(step) && step >= 1e-3, metres),
+        ("clearance", clearance, positive(clearance), metres),
+        ("height", height, positive(height) && height > clearance, metres),
+        ("slope", slope_deg, options.mobility().is_sound(), "give 0 to 60 degrees"),
     ] {
         if !is_sound {
-            return Err(Error::usage(
-                format!("a {name} of {value}"),
-                "give metres above 0, the height above the clearance",
-            ));
+            return Err(Error::usage(format!("a {name} of {value}"), remedy));
         }
     }
     match [from, to].iter().find(|p| !p.is_finite()) {
@@ -142,96 +158,144 @@ fn check(options: &PathOptions, from: DVec3, to: DVec3) -> Result<()> {
     }
 }
 
-/// An error that names the obstacle at a point.
-fn can_stand(floor: &Floor<'_>, p: DVec3) -> Result<()> {
-    let what = match floor.obstacle(p.truncate(), &mut QueryResult::default()) {
-        None => return Ok(()),
-        Some(Obstacle::Object(object)) => {
-            let name = &floor.world.environment().objects()[object as usize].name;
-            format!("{name:?} is within {} m of {}, {}", floor.options.radius, p.x, p.y)
-        }
-        Some(Obstacle::Seen) => format!("something was seen within {} m of {}, {}", floor.options.radius, p.x, p.y),
-        Some(Obstacle::NoFloor) => format!("no floor at the height of the start below {}, {}", p.x, p.y),
+/// The point of the floor below a point at which a robot can stand; otherwise an error that names the obstacle.
+fn ground(floor: &Floor<'_>, p: DVec3) -> Result<DVec3> {
+    let below = floor.height_below(p);
+    let no_floor = || Error::usage(format!("no floor below {}, {}, {}", p.x, p.y, p.z), "give a point above a floor");
+    let below = p.with_z(below.ok_or_else(no_floor)?);
+    let radius = floor.radius();
+    let what = match floor.stand(below, &mut QueryResult::default()) {
+        Ok(height) => return Ok(p.with_z(height)),
+        Err(Obstacle::Object(object)) => format!("{:?} is within {radius} m of {}, {}", floor.name(object), p.x, p.y),
+        Err(Obstacle::Seen) => format!("something was seen within {radius} m of {}, {}", p.x, p.y),
+        Err(Obstacle::NoFloor) => format!("the floor ends within {radius} m of {}, {}", p.x, p.y),
     };
     Err(Error::usage(what, "give a point on free floor, or a smaller radius"))
 }
 
-/// Positions around the start, which are evaluated when the search reaches them.
+/// Positions around the start, which are evaluated when the search reaches them. A position may have several floors,
+/// one above another.
 struct GridSearch<'a> {
     floor: Floor<'a>,
-    from: DVec2,
-    places: RefCell<HashMap<At, bool>>,
-    result: RefCell<QueryResult>,
+    options: &'a PathOptions,
+    from: DVec3,
+    /// Heights of the floors, and whether a robot can stand there.
+    places: RefCell<HashMap<At, Vec<(f64, bool)>>>,
+    found: RefCell<QueryResult>,
 }
 
 impl GridSearch<'_> {
-    fn point(&self, at: At) -> DVec2 {
-        self.from + self.floor.options.step * DVec2::new(f64::from(at[0]), f64::from(at[1]))
+    fn point(&self, (at, floor): Node) -> DVec3 {
+        let p = self.from.truncate() + self.options.step * DVec2::new(f64::from(at[0]), f64::from(at[1]));
+        p.extend(self.places.borrow()[&at][floor as usize].0)
     }
 
-    fn nearest_to(&self, p: DVec2) -> At {
-        let at = ((p - self.from) / self.floor.options.step).round();
-        [at.x as i32, at.y as i32]
-    }
-
-    fn is_free(&self, at: At) -> bool {
+    /// The floor of a position at about a height, if a robot can stand there.
+    fn place(&self, at: At, near: f64) -> Option<Node> {
+        let change = self.floor.change(KNIGHT * self.options.step);
         let mut places = self.places.borrow_mut();
-        if let Some(known) = places.get(&at) {
-            return *known;
+        if places.len() >= MAX_PLACES {
+            return None;
         }
-        let is_free =
-            places.len() < MAX_PLACES && self.floor.obstacle(self.point(at), &mut self.result.borrow_mut()).is_none();
-        places.insert(at, is_free);
-        is_free
+        let known = places.entry(at).or_default();
+        let floor = known.iter().position(|(height, _)| (height - near).abs() <= change).unwrap_or_else(|| {
+            let p = self.from.truncate() + self.options.step * DVec2::new(f64::from(at[0]), f64::from(at[1]));
+            let height = self.floor.stand(p.extend(near), &mut self.found.borrow_mut());
+            known.push((*height.as_ref().unwrap_or(&near), height.is_ok()));
+            known.len() - 1
+        });
+        known[floor].1.then_some((at, floor as u32))
     }
 
-    /// True if the positions that a step passes are free.
-    fn is_free_step(&self, [x, y]: At, [dx, dy]: At) -> bool {
-        let passes = |a: At| self.is_free([x + a[0], y + a[1]]);
+    /// The position after a step, if the positions that the step passes are free.
+    fn after(&self, node: Node, [dx, dy]: At) -> Option<Node> {
+        let ([x, y], near) = (node.0, self.point(node).z);
+        let place = |a: At| self.place([x + a[0], y + a[1]], near);
         let between = match (dx.abs(), dy.abs()) {
             (2, 1) => [[dx / 2, 0], [dx / 2, dy]],
             (1, 2) => [[0, dy / 2], [dx, dy / 2]],
             _ => [[dx, dy]; 2],
         };
-        passes([dx, dy]) && between.into_iter().all(passes)
+        between.into_iter().all(|a| place(a).is_some()).then(|| place([dx, dy])).flatten()
+    }
+
+    /// Points on the floor every half step along a straight line, up to and without the first at which a robot cannot
+    /// stand.
+    fn line(&self, from: DVec3, to: DVec3) -> (Vec<DVec3>, Option<Obstacle>) {
+        let count = (from.truncate().distance(to.truncate()) / (0.5 * self.options.step)).ceil().max(1.0) as u32;
+        let mut points = vec![from];
+        let mut height = from.z;
+        for k in 1..=count {
+            let p = from.truncate().lerp(to.truncate(), f64::from(k) / f64::from(count));
+            match self.floor.stand(p.extend(height), &mut self.found.borrow_mut()) {
+                Ok(here) => height = here,
+                Err(obstacle) => return (points, Some(obstacle)),
+            }
+            points.push(p.extend(height));
+        }
+        (points, None)
+    }
+
+    /// True if a robot can drive straight from one point of the floor to another.
+    fn sees(&self, from: DVec3, to: DVec3) -> bool {
+        let (points, obstacle) = self.line(from, to);
+        let change = self.floor.change(self.options.step);
+        obstacle.is_none() && points.last().is_some_and(|last| (last.z - to.z).abs() <= change)
+    }
+
+    /// The corners of a path after each corner that can be left out is left out.
+    fn pulled(&self, points: &[DVec3]) -> Vec<DVec3> {
+        let (mut kept, mut at) = (vec![points[0]], 0);
+        while at + 1 < points.len() {
+            // Neighbours on the grid see each other. The farthest visible point is bracketed by doubling, then halving.
+            let (mut near, mut stride) = (at + 1, 2);
+            while at + stride < points.len() && self.sees(points[at], points[at + stride]) {
+                (near, stride) = (at + stride, 2 * stride);
+            }
+            let mut far = (at + stride).min(points.len());
+            while near + 1 < far {
+                let middle = usize::midpoint(near, far);
+                if self.sees(points[at], points[middle]) { near = middle } else { far = middle }
+            }
+            at = near;
+            kept.push(points[at]);
+        }
+        kept
+    }
+
+    fn found_path(&self, corners: &[DVec3]) -> FloorPath {
+        let mut points = vec![corners[0]];
+        for pair in corners.windows(2) {
+            match self.line(pair[0], pair[1]) {
+                (line, None) => add_profile(&line, &mut points),
+                // Neighbours on the grid, between which a corner reaches in by less than a millimetre.
+                (_, Some(_)) => points.push(pair[1]),
+            }
+        }
+        let length = points.windows(2).map(|w| w[0].distance(w[1])).sum();
+        FloorPath::Found { points, length }
     }
 
     /// The result if this is the reachable position nearest to the end.
-    fn blocked(&self, nearest: At, to: DVec3, height: f64) -> FloorPath {
-        let reached = self.point(nearest);
-        let target = to.truncate();
-        let missing = reached.distance(target);
-        let steps = (missing / self.floor.options.step).ceil().max(1.0);
-        let mut result = QueryResult::default();
-        let on_line = (1..=steps as u32).map(|k| reached.lerp(target, f64::from(k) / steps));
-        let object = on_line.map(|p| self.floor.obstacle(p, &mut result)).find(Option::is_some).flatten();
-        let object = match object {
-            Some(Obstacle::Object(object)) => {
-                Some(self.floor.world.environment().objects()[object as usize].name.clone())
-            }
+    fn blocked(&self, reached: DVec3, to: DVec3) -> FloorPath {
+        let missing = reached.truncate().distance(to.truncate());
+        let object = match self.line(reached, to).1 {
+            Some(Obstacle::Object(object)) => Some(self.floor.name(object).to_owned()),
             _ => None,
         };
-        FloorPath::Blocked { reached: reached.extend(height), missing, object }
+        FloorPath::Blocked { reached, missing, object }
     }
 }
 
-fn found_path(search: &GridSearch<'_>, places: &[At], to: DVec3, height: f64) -> FloorPath {
-    let mut points: Vec<DVec3> = places.iter().map(|at| search.point(*at).extend(height)).collect();
-    // The end may be off the grid.
-    if let Some(last) = points.last_mut() {
-        *last = to.truncate().extend(height);
-    }
-    // Inner points of straight lines are left out.
-    let mut kept: Vec<DVec3> = Vec::new();
-    for p in points {
-        let is_straight = |a: DVec3, b: DVec3| (b - a).normalize_or_zero().distance((p - b).normalize_or_zero()) < 1e-6;
-        if let [.., a, b] = kept[..]
-            && is_straight(a, b)
-        {
-            kept.pop();
+/// Adds the points of a straight line after the first, without those that lie as high as a line between others says.
+fn add_profile(line: &[DVec3], points: &mut Vec<DVec3>) {
+    let (Some(first), Some(last)) = (line.first(), line.last()) else { return };
+    let off = |k: usize| (line[k].z - first.lerp(*last, k as f64 / (line.len() - 1) as f64).z).abs();
+    match (1..line.len().saturating_sub(1)).max_by(|a, b| off(*a).total_cmp(&off(*b))).filter(|k| off(*k) > FLAT) {
+        Some(k) => {
+            add_profile(&line[..=k], points);
+            add_profile(&line[k..], points);
         }
-        kept.push(p);
+        None => points.push(*last),
     }
-    let length = kept.windows(2).map(|w| w[0].distance(w[1])).sum();
-    FloorPath::Found { points: kept, length }
 }

@@ -97,10 +97,11 @@ fn the_docks_of_the_charging_bay_are_found() {
     assert!(uncertain_features(&scene.world, &UncertainOptions::default().with_time(Some(f64::NAN))).is_err());
 }
 
-/// A floor of 8 x 8 m with random pillars, and walls around it.
-fn pillars(seed: u64, count: usize) -> (World, Vec<DVec2>) {
+/// A floor with random pillars, on which a robot of a radius reaches 4 m from the middle along x and y.
+fn pillars(seed: u64, count: usize, radius: f64) -> (World, Vec<DVec2>) {
     let mut environment = scenes::empty();
-    environment.add_cuboid("floor", at(0.0, 0.0, -0.1), DVec3::new(8.0, 8.0, 0.2)).unwrap();
+    let side = 8.02 + 2.0 * radius;
+    environment.add_cuboid("floor", at(0.0, 0.0, -0.1), DVec3::new(side, side, 0.2)).unwrap();
     let mut random = Random(seed);
     let mut middles = Vec::new();
     for k in 0..count {
@@ -158,7 +159,7 @@ fn ways_agree_with_dijkstra_on_a_fine_grid() {
     let (mut yes, mut no) = (0, 0);
     for seed in 0..12 {
         let (radius, count) = if seed % 2 == 0 { (0.25, 28) } else { (0.45, 60) };
-        let (world, middles) = pillars(seed, count);
+        let (world, middles) = pillars(seed, count, radius);
         let options = PathOptions::default().with_radius(radius);
         let found = find_path(&world, from.extend(0.0), to.extend(0.0), &[], &options);
         let Some(truth) = dijkstra(from, to, &middles, radius) else {
@@ -182,13 +183,14 @@ fn ways_agree_with_dijkstra_on_a_fine_grid() {
 
 #[test]
 fn ways_that_cannot_be_say_why() {
-    let (world, middles) = pillars(0, 28);
+    let (world, middles) = pillars(0, 28, 0.25);
     let options = PathOptions::default().with_radius(0.25);
     let from = DVec3::new(-3.7, 0.0, 0.0);
     let refused = |a: DVec3, b: DVec3| find_path(&world, a, b, &[], &options).unwrap_err().to_string();
     assert!(refused(from, middles[3].extend(0.0)).contains("pillar"));
     assert!(refused(middles[3].extend(0.0), from).contains("the start"));
     assert!(refused(DVec3::new(50.0, 0.0, 0.0), from).contains("no floor"));
+    assert!(refused(DVec3::new(-4.1, 0.0, 0.0), from).contains("the floor ends within 0.25 m"));
     assert!(refused(from, DVec3::NAN).contains("finite"));
     let wrong = options.with_radius(f64::NAN);
     assert!(find_path(&world, from, from, &[], &wrong).is_err());
@@ -222,6 +224,67 @@ fn absent_objects_are_not_in_the_way() {
         // The wall's face is 0.5 m away, the floor 1 m.
         assert!((nearest.distance - if is_there { 0.5 } else { 1.0 }).abs() < 1e-6, "{nearest:?}");
     }
+}
+
+/// By hand: a shaft of 1 x 2 m between passages that are 1 m wide. Every point keeps the radius from its edges, and a
+/// robot of 0.55 m does not pass. Without the shaft the path is straight.
+#[test]
+fn edges_of_the_floor_keep_their_distance() {
+    let tiles = |holes: bool| {
+        let mut environment = Environment::new();
+        let mut tile = |name: &str, x: [f64; 2], y: [f64; 2]| {
+            let (middle, size) = ([0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1])], [x[1] - x[0], y[1] - y[0]]);
+            let size = DVec3::new(size[0], size[1], 0.1);
+            environment.add_cuboid(name, at(middle[0], middle[1], -0.05), size).unwrap();
+        };
+        tile("west", [0.0, 2.5], [0.0, 4.0]);
+        tile("east", [3.5, 6.0], [0.0, 4.0]);
+        tile("south", [2.5, 3.5], [0.0, 1.0]);
+        tile("north", [2.5, 3.5], [3.0, 4.0]);
+        if !holes {
+            tile("lid", [2.5, 3.5], [1.0, 3.0]);
+        }
+        World::new(environment)
+    };
+    let path = |holes: bool, radius: f64| {
+        let (from, to) = (DVec3::new(1.0, 2.1, 0.0), DVec3::new(5.0, 2.1, 0.0));
+        find_path(&tiles(holes), from, to, &[], &PathOptions::default().with_radius(radius)).unwrap()
+    };
+    let FloorPath::Found { points, length } = path(true, 0.3) else { panic!("a path beside the shaft") };
+    // The shortest one runs along y = 0.7 and 3.3: around the corners it is longer than 4.4 m.
+    assert!(length > 4.4 && length < 5.2 && points.len() < 12, "{length}, {points:?}");
+    for pair in points.windows(2) {
+        for t in 0..=20 {
+            let p = pair[0].lerp(pair[1], f64::from(t) / 20.0);
+            let off = DVec2::new((2.5 - p.x).max(p.x - 3.5), (1.0 - p.y).max(p.y - 3.0)).max(DVec2::ZERO);
+            assert!(off.length() > 0.298, "{p}");
+        }
+    }
+    let FloorPath::Blocked { object, missing, .. } = path(true, 0.55) else { panic!("no path") };
+    assert!(object.is_none() && missing > 3.0);
+    let FloorPath::Found { points, length } = path(false, 0.55) else { panic!("a straight path") };
+    assert!(points.len() == 2 && (length - 4.0).abs() < 1e-9, "{points:?}");
+}
+
+/// By hand: a ramp of 2 m that rises by 0.3 m leads to a landing. Its top is an edge for a robot of no slope.
+#[test]
+fn ramps_lead_to_the_floor_above() {
+    use presight_model::environment::{Mesh, NewObject, Polygon, PolygonOrder};
+    let mut environment = Environment::new();
+    environment.add_cuboid("low", at(0.0, 0.0, -0.1), DVec3::new(4.0, 2.0, 0.2)).unwrap();
+    environment.add_cuboid("high", at(6.0, 0.0, 0.1), DVec3::new(4.0, 2.0, 0.4)).unwrap();
+    let corners = [[2.0, -1.0, 0.0], [4.0, -1.0, 0.3], [4.0, 1.0, 0.3], [2.0, 1.0, 0.0]];
+    let polygon = Polygon::new(vec![0, 1, 2, 3], 0);
+    let ramp = Mesh::new("ramp", corners.map(glam::Vec3::from).to_vec(), vec![polygon], PolygonOrder::Given).unwrap();
+    environment.insert(NewObject::new("ramp", Pose::IDENTITY, ramp.into())).unwrap();
+    let world = World::new(environment);
+    let (from, to) = (DVec3::new(-1.0, 0.0, 0.0), DVec3::new(7.0, 0.0, 0.3));
+    let up = find_path(&world, from, to, &[], &PathOptions::default()).unwrap();
+    let FloorPath::Found { points, length } = up else { panic!("{up:?}") };
+    let truth = 3.0 + 2f64.hypot(0.3) + 3.0;
+    assert!((length - truth).abs() < 0.01 && (points.last().unwrap().z - 0.3).abs() < 1e-6, "{length}, {points:?}");
+    let level = PathOptions::default().with_slope_deg(5.0);
+    assert!(matches!(find_path(&world, from, to, &[], &level).unwrap(), FloorPath::Blocked { .. }));
 }
 
 #[test]

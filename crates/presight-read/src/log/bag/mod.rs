@@ -6,8 +6,9 @@
 //! - **Odometry**: `/tf` from `odom` to the base, else the one topic of `nav_msgs/msg/Odometry`.
 //! - **Reference**: `/tf` from `map` to the base. Estimates must not use it.
 //!
-//! Transforms are taken at the stamp of the message, interpolated and never extrapolated (REP-105). A scan whose rays have
-//! times takes all those of the odometry from its first ray to its last; where they end before, it goes on by the last two.
+//! Transforms are taken at the stamp of the message, interpolated and never extrapolated (REP-105). The motion during a
+//! scan follows all transforms of the odometry from its first ray to its last. If they end before the last ray, the
+//! velocity between the last two transforms is extended.
 
 mod choice;
 mod convert;

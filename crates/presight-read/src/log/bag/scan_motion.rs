@@ -14,11 +14,11 @@ pub(super) fn span_ns(stamp_ns: i64, [first, last]: [f64; 2]) -> (i64, i64) {
     (after(first.min(0.0)), after(last.max(0.0)))
 }
 
-/// The motion during a scan from its first ray to its last, by all transforms between two frames: the robot's base and one that
-/// stays. True if these reach over the scan; if they do not, it is the motion between the two that are nearest to it.
+/// The motion during a scan from its first ray to its last, by all transforms between two frames: the robot's base and
+/// one that stays. True if they cover the scan; otherwise the velocity between the two nearest transforms is returned.
 ///
 /// # Errors
-/// As [`ScanMotion::along`], if these two are too far apart, too.
+/// Errors of [`ScanMotion::along`], if these two are also too far apart.
 pub(super) fn of_scan(
     tree: &FrameTree,
     (world, base): (&str, &str),
@@ -27,7 +27,7 @@ pub(super) fn of_scan(
 ) -> Result<(ScanMotion, bool)> {
     let stamps = tree.stamps(world, base);
     let (from, to) = span_ns(stamp_ns, interval);
-    // One more before the scan: without one behind it, the last two tell the motion.
+    // Two transforms before the scan give a velocity if none follows it.
     let start = stamps.partition_point(|t| *t <= from).saturating_sub(2);
     let end = (stamps.partition_point(|t| *t < to) + 1).min(stamps.len());
     let pose = |t: &i64| match tree.lookup(world, base, *t) {
@@ -44,8 +44,9 @@ mod tests {
     use glam::DVec3;
     use presight_model::geometry::Pose;
 
-    /// A robot that doubles its speed in the middle of the scan: its poses at 50 Hz tell so, those at the stamps do not. By
-    /// hand: 1 m/s for 0.06 s, then 2 m/s for 0.04 s, are 0.14 m; the mean speed of the whole interval is 1.4 m/s.
+    /// A robot that doubles its speed in the middle of the scan: poses at 50 Hz show the change, poses at the stamps do
+    /// not. By hand: 1 m/s for 0.06 s, then 2 m/s for 0.04 s, are 0.14 m; the mean speed of the whole interval is 1.4
+    /// m/s.
     #[test]
     fn transforms_at_their_own_rate_are_the_motion() {
         let x = |t: f64| t.min(0.06) + 2.0 * (t - 0.06).max(0.0);
@@ -62,7 +63,7 @@ mod tests {
             assert!(reaches && (found - truth).abs() < 1e-6, "{t}: {found}");
         }
         assert!(motion.at(0.2).is_none(), "never extrapolated");
-        // Transforms that end before the scan: the last two go on.
+        // Transforms that end before the scan: the last velocity is extended.
         let (motion, reaches) = of([0.05, 0.15]).unwrap();
         let ScanMotion::Twist(twist) = motion else { panic!("{motion:?}") };
         assert!(!reaches && twist.linear.distance(DVec3::X * 2.0) < 1e-6, "{twist:?}");

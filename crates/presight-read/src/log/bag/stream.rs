@@ -152,8 +152,7 @@ impl Stream {
         };
         if !reaches {
             self.converter.add_notice(
-                "the odometry does not reach over every scan: the motion between its two poses nearest to a scan is \
-                 taken",
+                "the odometry does not reach over every scan: the velocity between the two nearest poses is taken",
             );
         }
         Ok(Some(motion))
@@ -189,8 +188,8 @@ impl Stream {
         }
     }
 
-    /// Takes a frame as that of the odometry if there is none yet and transforms lead to it: odometry may begin after the
-    /// first scan.
+    /// Takes a frame as the origin of the odometry if there is none yet and transforms lead to it: odometry may begin
+    /// after the first scan.
     pub(super) fn find_odometry(&mut self, frame: &str) {
         let is_connected = || self.tree.lookup(frame, &self.choice.base, 0) != Lookup::Unconnected;
         if self.choice.odom.is_none() && is_connected() {

@@ -34,8 +34,8 @@ fn lines_at(stamps: &[f64], odometry: Option<Pose>) -> Vec<LogFrame> {
     stamps.iter().enumerate().map(frame).collect()
 }
 
-/// By hand: every half second a quarter of a circle of radius 1 m, so pi m/s and pi rad/s; after a quarter of a second the
-/// robot is at (sin 45, 1 - cos 45) and has turned by 45 degrees.
+/// By hand: every half second a quarter of a circle of radius 1 m, so pi m/s and pi rad/s; after a quarter of a second
+/// the robot is at (sin 45, 1 - cos 45) and has turned by 45 degrees.
 #[test]
 fn odometry_is_the_motion_of_the_scan_that_it_covers() {
     let quarter = Pose::from_xyz_rpy(DVec3::new(1.0, 1.0, 0.0), 0.0, 0.0, FRAC_PI_2);
@@ -62,7 +62,7 @@ fn odometry_is_the_motion_of_the_scan_that_it_covers() {
     lines.iter_mut().for_each(|line| line.times = Some(before.clone()));
     let (frames, notices) = read(&scanner(RayTimes::AtOnce), &lines, |f| f);
     assert!(frames[2].frame.scan_motion().unwrap().is_still() && !frames[1].frame.scan_motion().unwrap().is_still());
-    // The first frame takes the motion after it: nothing is known of the one before.
+    // The first frame takes the motion after it, because the motion before it is unknown.
     assert!(notices.iter().any(|n| n.contains("no pose lies beyond the scan at 0 s")), "{notices:?}");
 }
 
@@ -71,13 +71,13 @@ fn an_unknown_motion_is_noticed_once() {
     let turning = scanner(RayTimes::turning(0.1, StampAt::First));
     let (frames, notices) = read(&turning, &lines_at(&[0.0, 0.1, 0.2], None), |f| f);
     assert!(frames.iter().all(|o| o.frame.scan_motion().is_none()));
-    let unknown: Vec<_> = notices.iter().filter(|n| n.contains("does not say how the robot moves")).collect();
+    let unknown: Vec<_> = notices.iter().filter(|n| n.contains("does not give the robot's motion")).collect();
     assert!(unknown.len() == 1 && unknown[0].contains("the scan at 0 s takes 0.100 s"), "{notices:?}");
-    // Poses a second apart do not say how it moves within a tenth of one.
+    // Poses a second apart do not determine the motion within a tenth of a second.
     let (frames, notices) = read(&turning, &lines_at(&[0.0, 1.0], Some(Pose::IDENTITY)), |f| f);
     assert!(frames[0].frame.scan_motion().is_none());
     assert!(notices.iter().any(|n| n.contains("poses are 1.000 s apart")), "{notices:?}");
-    // A scanner that measures at once needs no motion.
+    // A scanner that measures all rays at the stamp needs no motion.
     let (_, notices) = read(&scanner(RayTimes::AtOnce), &lines_at(&[0.0, 0.1], None), |f| f);
     assert!(notices.is_empty(), "{notices:?}");
 }
@@ -120,7 +120,7 @@ fn range(pose: &Pose, azimuth: f64) -> f64 {
     to(pose.translation.x, d.x, 5.0).min(to(pose.translation.y, d.y, 4.0))
 }
 
-/// What a log says of the times and the motion is what undoes the motion of its scans; told wrongly, it does not.
+/// The times and the twist of a log undo the motion of its scans. Wrong times and a wrong twist do not.
 #[test]
 fn a_drive_is_undone_by_what_its_log_says() {
     let twist = Twist::new(DVec3::X * 1.5, DVec3::Z * 1.0);

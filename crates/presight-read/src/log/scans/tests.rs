@@ -62,8 +62,8 @@ fn poses_stand_beside_the_scans() {
     }
 }
 
-/// A cloud of a lidar of 8 rows and 360 columns that turns left in 0.1 s, on a robot that drives past a wall 5 m to its left, in
-/// the order of firing, with the times of a driver.
+/// A cloud of a lidar of 8 rows and 360 columns that turns left in 0.1 s, on a robot that drives past a wall 5 m to its
+/// left, in the order of firing, with the times of a driver.
 fn moving_cloud(t: impl Fn(f64) -> f64, kind: &str, speed: f64) -> String {
     let pixels = (0..360).flat_map(|c| (0..8).map(move |r| (f64::from(c), f64::from(r))));
     let points: Vec<String> = pixels
@@ -94,7 +94,7 @@ fn frames_of(files: &[(&str, String)], sensor: Option<&Sensor>) -> Result<(Vec<O
     Ok((frames, log.notices()))
 }
 
-/// Where the wall begins and ends along x, as the points of a frame show it.
+/// The ends of the wall along x in the points of a frame.
 fn wall(frame: &Frame) -> [f64; 2] {
     let sensor = frame.sensor();
     let width = sensor.width();
@@ -123,8 +123,8 @@ fn times_of_points_undo_the_motion() {
         ("double", &|t| stamp + t, "seconds, on the clock of the stamps"),
     ] {
         let (raw, deskewed, notices) = read(kind, t);
-        // The ends of the wall are 11 m away, where columns are 0.44 m apart on it. The left side comes in the second half of the
-        // scan, 1 to 2 m from where the robot was at the stamp.
+        // The ends of the wall are 11 m away, where columns are 0.44 m apart on it. The left side comes in the second
+        // half of the scan, 1 to 2 m from where the robot was at the stamp.
         assert!(raw[0] < -11.0 && raw[1] < 9.01, "{raw:?}");
         assert!(
             deskewed[0] > -10.001 && deskewed[0] < -9.5 && deskewed[1] > 9.5 && deskewed[1] < 10.001,
@@ -144,8 +144,8 @@ fn stamps_come_from_the_clock_of_the_points_if_names_do_not_tell() {
     let files = [("first.ply", at(1.7e9)), ("second.ply", at(1.7e9 + 0.1))];
     let (frames, notices) = frames_of(&files, None).unwrap();
     let stamps: Vec<f64> = frames.iter().map(|o| (o.frame.stamp - 1.7e9) * 1e3).map(f64::round).collect();
-    // The wall is seen in the second half of the scan.
-    assert!(stamps[1] - stamps[0] == 100.0 && (49.0..=51.0).contains(&stamps[0]), "{stamps:?}");
+    // The wall begins at an azimuth of atan(5 / 10), 26.6 degrees: in column 207 of 360, after 57.5 ms.
+    assert!(stamps[1] - stamps[0] == 100.0 && (57.0..=58.0).contains(&stamps[0]), "{stamps:?}");
     assert!(
         frames[0].frame.sensor().scan_interval()[0] == 0.0 && notices.iter().any(|n| n.contains("also give the stamp"))
     );
@@ -161,9 +161,9 @@ fn the_sensor_must_not_contradict_the_points() {
     assert!(frames_of(&files, Some(&turning(0.1))).is_ok());
     let e = frames_of(&files, Some(&turning(0.05))).unwrap_err();
     assert!(e.to_string().contains("by the times of the sensor") && e.file().is_some(), "{e}");
-    // Without times the columns of an unorganized cloud say nothing.
+    // The columns of an unorganized cloud are no columns of the scanner, and give no times.
     let untimed = [("10.0.ply", files[0].1.replace(" time", " intensity"))];
     let (frames, notices) = frames_of(&untimed, Some(&turning(0.1))).unwrap();
     assert!(frames[0].frame.sensor().spec().times.is_at_once());
-    assert!(notices.iter().any(|n| n.contains("count as measured at the stamp")), "{notices:?}");
+    assert!(notices.iter().any(|n| n.contains("are taken as measured at the stamp")), "{notices:?}");
 }
