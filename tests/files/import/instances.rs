@@ -116,6 +116,13 @@ fn what_a_scale_of_zero_flattens_is_left_out_and_listed() {
     let expected =
         "left out, because a scale of zero leaves no area: node 2 \"gone/below\", node 4 \"flat/turned\" (2 objects)";
     assert_eq!(read.report.notices, [expected]);
+    // A triangle across the flattened axis is a plate: its area is kept.
+    g.json["nodes"][3]["scale"] = json!([1, 1, 0]);
+    g.json["nodes"][4]["rotation"] = json!([0, 0, 0, 1]);
+    let flat = g.import().unwrap();
+    assert_eq!(names(&flat), ["plate", "flat/turned"]);
+    let [plate, turned] = [0, 1].map(|k| flat.environment.objects()[k].polygon_in_world(0));
+    assert!(plate.iter().zip(&turned).all(|(a, b)| a.distance(*b) < 1e-6), "{plate:?} {turned:?}");
     // A tiny scale is still refused.
     g.json["nodes"][0]["scale"] = json!([1e-10, 1, 1]);
     assert!(g.import().unwrap_err().to_string().contains("node 0 \"plate\""));

@@ -5,12 +5,13 @@ use super::nodes::{SceneNode, Shape};
 use super::notices::{LeftOut, kilometres};
 use super::{BuiltMesh, paths, place_of};
 use crate::preparation::{ImportReport, ProblemBook, ProblemKind, SceneFrame};
-use glam::{DAffine3, DMat3};
-use presight_model::environment::{Environment, NewObject};
+use glam::{DAffine3, DMat3, DVec3, Vec3};
+use presight_model::environment::{Environment, Mesh, NewObject, Polygon, PolygonOrder};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::limits;
 use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
 
 /// From this distance of neighbouring 32-bit numbers on, metres, vertices no longer hold a millimetre.
 const COARSE: f64 = 1.0 / 1024.0;
@@ -56,7 +57,15 @@ impl Placement {
         let exact = self.frame == SceneFrame::default();
         let built_of = |node: &SceneNode| by_shape.get(&node.shape()?);
         let is_flat = |node: &SceneNode| flattens(&node.scene_from_node.matrix3);
-        let is_object = |node: &SceneNode| built_of(node).is_some_and(|b| b.mesh.polygon_count() > 0) && !is_flat(node);
+        let address = |node: &SceneNode| std::ptr::from_ref(node).addr();
+        let flat = nodes.iter().filter(|node| is_flat(node));
+        let plates: HashMap<usize, Arc<Mesh>> = flat
+            .filter_map(|node| Some((address(node), plate(built_of(node)?, &node.scene_from_node.matrix3)?)))
+            .collect();
+        let plate_of = |node: &SceneNode| plates.get(&address(node));
+        let is_object = |node: &SceneNode| {
+            built_of(node).is_some_and(|b| b.mesh.polygon_count() > 0) && (!is_flat(node) || plate_of(node).is_some())
+        };
         let paths = paths::paths(nodes, is_object);
         let mut first_source = 0u32;
         for (node, path) in nodes.iter().zip(&paths) {
@@ -72,8 +81,15 @@ impl Placement {
                 Some(path) => {
                     self.report.polygons_in_scene += built.mesh.polygon_count() as u64;
                     let world_from_mesh = world_from_gltf * node.scene_from_node;
-                    let new = object(node, path, built, first_source, (&world_from_mesh, exact))
-                        .map_err(|e| e.at(place()))?;
+                    let new = match plate_of(node) {
+                        Some(mesh) => {
+                            let placed = DAffine3::from_translation(node.scene_from_node.translation);
+                            NewObject::from_affine(path, world_from_gltf * placed, mesh.clone())
+                                .map(|new| NewObject { first_source, ..new })
+                        }
+                        None => object(node, path, built, first_source, (&world_from_mesh, exact)),
+                    };
+                    let new = new.map_err(|e| e.at(place()))?;
                     self.note_digits(node, built, &world_from_mesh.matrix3);
                     insert(&mut self.environment, new).map_err(|e| e.at(place()))?;
                 }
@@ -172,6 +188,29 @@ fn flattens(m: &DMat3) -> bool {
     let lengths = [m.x_axis.length(), m.y_axis.length(), m.z_axis.length()];
     let product: f64 = lengths.iter().product();
     m.is_finite() && (lengths.contains(&0.0) || m.determinant().abs() <= 1e-12 * product)
+}
+
+/// What a scale of zero along one axis leaves of a mesh: the polygons that keep an area, all in one plane. `None` if it
+/// leaves no area.
+fn plate(built: &BuiltMesh, m: &DMat3) -> Option<Arc<Mesh>> {
+    /// Doubled area by the square of the longest side: beyond the rounding of f32.
+    const LEAST: f64 = 1e-5;
+    let mesh = &built.mesh;
+    let vertices: Vec<Vec3> = mesh.vertices().iter().map(|v| (*m * v.as_dvec3()).as_vec3()).collect();
+    let at = |corner: u32| vertices[corner as usize].as_dvec3();
+    let has_area = |corners: &[u32]| {
+        let sides = || corners.iter().zip(corners.iter().cycle().skip(1)).map(|(a, b)| (at(*a), at(*b)));
+        let doubled: DVec3 = sides().map(|(a, b)| (a - at(corners[0])).cross(b - at(corners[0]))).sum();
+        let longest = sides().map(|(a, b)| a.distance_squared(b)).fold(0.0, f64::max);
+        doubled.length() > LEAST * longest
+    };
+    let polygon = |k: u32| {
+        let corners = mesh.corner_indices(k).to_vec();
+        has_area(&corners).then(|| Polygon { corners, material: mesh.material(k), source: mesh.source(k) })
+    };
+    let polygons: Vec<Polygon> = (0..mesh.polygon_count() as u32).filter_map(polygon).collect();
+    let flat = Mesh::new(mesh.name(), vertices, polygons, PolygonOrder::Spatial).ok()?;
+    (flat.polygon_count() > 0).then(|| Arc::new(flat))
 }
 
 /// The greatest factor by which a transform stretches a length: exact for scales along the axes, a bound for shears.
