@@ -70,6 +70,7 @@ fn what_is_explored_while_driving_predicts_as_well() {
     println!("standing {standing:?}\ndriving {driving:?}\nwithout the motion {unknown:?}");
     assert!(driving.median <= 1.2 * standing.median, "{driving:?}");
     assert!(driving.over_2_cm <= 1.4 * standing.over_2_cm, "{driving:?}");
+    assert!(driving.over_10_cm <= 1.4 * standing.over_10_cm, "{driving:?}");
     assert!(unknown.over_2_cm > 1.4 * standing.over_2_cm, "planted: {unknown:?}");
 }
 
