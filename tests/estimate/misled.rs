@@ -55,8 +55,10 @@ fn odometry_that_misleads_is_told_and_not_followed() {
         }
         frame
     };
-    for (tracked, wrong, warnings) in [followed(&world, &world, backwards), followed(&world, &world, jumps)] {
-        assert!(wrong == 0 && !warnings.is_empty(), "{tracked} {wrong} {warnings:?}");
+    for (what, (tracked, wrong, warnings)) in
+        [("backwards", followed(&world, &world, backwards)), ("jumps", followed(&world, &world, jumps))]
+    {
+        assert!(wrong == 0 && !warnings.is_empty(), "{what}: {tracked} {wrong} {warnings:?}");
     }
 }
 

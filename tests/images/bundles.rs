@@ -200,7 +200,8 @@ fn planted_faults_are_found() {
         let (start, moved) = (start(), on_circle(t));
         Pose { translation: start.translation + moved.translation, rotation: moved.rotation * start.rotation }
     };
-    assert!(faults(&along_world, &sensor) > all / 2, "a twist along the world's axes");
+    let found = faults(&along_world, &sensor);
+    assert!(found > all / 2, "a twist along the world's axes: {found} of {all}");
     let other_turn = |t: f64| {
         let moved = on_circle(t);
         start() * Pose { rotation: moved.rotation.inverse(), ..moved }

@@ -173,8 +173,10 @@ mod tests {
         assert!(near(p, DVec3::new(-1.0, 2.5, -0.3)) && near(f, DVec3::Y));
         let (p, f) = forward(&given(" -1 2.5  -3e-1 0 0\t90")).unwrap();
         assert!(near(p, DVec3::new(-1.0, 2.5, -0.3)) && near(f, DVec3::Y));
-        let (p, f) = forward(&given("-1, 2, 3, 0, 0, 2, 2")).unwrap();
+        let (p, f) = forward(&given("-1, 2, 3, 0, 0, 0.7071, 0.7071")).unwrap();
         assert!(near(p, DVec3::new(-1.0, 2.0, 3.0)) && near(f, DVec3::Y));
+        let e = given("-1, 2, 3, 0, 0, 2, 2").parse().unwrap_err().to_string();
+        assert!(e.contains("a quaternion of length 2.828427, not 1"), "{e}");
     }
 
     #[test]

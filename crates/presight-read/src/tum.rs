@@ -123,7 +123,7 @@ mod tests {
     fn lines_become_poses_and_faults_name_theirs() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.tum");
-        std::fs::write(&path, "# time x y z q\n\n1.5 1 2 3 0 0 0 2\n").unwrap();
+        std::fs::write(&path, "# time x y z q\n\n1.5 1 2 3 0 0 0 0.999\n").unwrap();
         let read_back = read(&path).unwrap();
         assert_eq!(read_back.len(), 1);
         assert_eq!((read_back[0].time, read_back[0].pose.translation), (1.5, DVec3::new(1.0, 2.0, 3.0)));
@@ -132,6 +132,7 @@ mod tests {
         for bad in [
             "1 2 3",
             "0 0 0 0 0 0 0 0",
+            "0 0 0 0 0 0 0 2",
             "0 0 NaN 0 0 0 0 1",
             "0 0 0 0 0 0 0 1 9",
             "0 0 0 x 0 0 0 1",

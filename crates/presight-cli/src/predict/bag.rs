@@ -15,7 +15,7 @@ pub fn records(
     let sensor = &prediction.sensor;
     let mut origin = MessageOrigin::of_sensor(stamp.parse().unwrap_or_default(), sensor);
     origin.stamp_ns = nanoseconds(stamp).unwrap_or(origin.stamp_ns);
-    origin.map.clone_from(&args.world_frame);
+    origin.map.clone_from(&args.bag_frame);
     let mount = is_first.then(|| origin.mount(sensor));
     let pose = tells_pose.then(|| origin.localization(&prediction.pose.robot(sensor).world_from_robot()));
     let images = origin.prediction(sensor, &prediction.images, args.outputs)?;

@@ -165,7 +165,7 @@ pub struct Args {
     /// The frame of the poses in the bag
     #[cfg(feature = "ros")]
     #[arg(long = "frame", value_name = "FRAME", default_value = "map", requires = "mcap")]
-    world_frame: String,
+    bag_frame: String,
 
     /// Write the visible points as a point cloud; a device or pipe whose name has no ending gets PLY
     ///

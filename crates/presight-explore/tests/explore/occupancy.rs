@@ -203,13 +203,15 @@ fn storeys_are_levels() {
     let plain = GridOptions::default();
     let grid = Grid::of(&environment, &plain).unwrap();
     let heights: Vec<f64> = grid.levels.iter().map(|level| level.height).collect();
-    assert!(heights.len() == 2 && heights[0].abs() < 1e-6 && (heights[1] - 3.0).abs() < 1e-6, "{heights:?}");
+    // The top of the box has a twelfth of the area of a storey.
+    let expected = [0.0, 3.0, 4.0];
+    assert!(heights.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6) && heights.len() == 3, "{heights:?}");
     assert_eq!((grid.level, counts(&environment, &plain)[0]), (Some(1), 1200 - 16));
     for options in [plain.with_level(Some(2)), plain.with_floor(Some(3.0))] {
         assert_eq!(counts(&environment, &options)[..2], [1200 - 100, 100]);
     }
-    let refused = Grid::of(&environment, &plain.with_level(Some(3))).unwrap_err().to_string();
-    assert!(refused.contains("1 to 2") && refused.contains("0.000, 3.000"), "{refused}");
+    let refused = Grid::of(&environment, &plain.with_level(Some(4))).unwrap_err().to_string();
+    assert!(refused.contains("1 to 3") && refused.contains("0.000, 3.000, 4.000"), "{refused}");
     assert!(Grid::of(&environment, &plain.with_level(Some(0))).is_err());
     assert_eq!(counts(&environment, &plain.with_floor(Some(1.5)))[0], 0, "no level is there");
 }

@@ -32,8 +32,8 @@ pub(super) struct Timing {
     pub count: usize,
     residuals: Option<Residuals>,
     pub scan_time: ScanTime,
-    /// Where the robot was tracked at the frame before, when, and whether by a scan with its motion.
-    before: Option<(f64, Pose, bool)>,
+    /// When and where the robot was tracked at the frame before, and by a scan with its motion.
+    before: Option<(f64, Pose, Option<Pose>)>,
 }
 
 /// Seconds from the stamp to the middle of a scan, and half of the scan's duration.
@@ -160,14 +160,13 @@ impl Localizer {
     /// Compares the motion between two frames in a row that were tracked with the odometry.
     /// `moving` is the pose with the motion of a scan whose times nobody states.
     fn watch(&mut self, step: &Step, frame: &Frame, moving: Option<Pose>) {
-        let is_moving = moving.is_some();
-        let pose = moving.unwrap_or(step.pose.world_from_robot);
-        let now = (step.phase == Phase::Tracking).then_some((step.stamp, pose, is_moving));
+        let now = (step.phase == Phase::Tracking).then_some((step.stamp, step.pose.world_from_robot, moving));
         let (middle, _) = middle_of(frame.sensor());
         let residuals = self.timing.residuals.get_or_insert_with(|| Residuals::new(middle));
         match (self.timing.before, now, &frame.motion) {
-            // Poses of either kind err alike.
-            (Some((then, before, was)), Some((stamp, now, is)), Some(odometry)) if was == is => {
+            (Some((then, before, was_moving)), Some((stamp, now, moving)), Some(odometry)) => {
+                // Poses of either kind err alike.
+                let (before, now) = was_moving.zip(moving).unwrap_or((before, now));
                 residuals.add(&(before.inverse() * now), odometry, stamp - then);
             }
             _ => residuals.interrupt(),

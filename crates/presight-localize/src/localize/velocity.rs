@@ -405,16 +405,23 @@ impl Velocity {
         let mut then = self.clone();
         then.hold(belief);
         let mut twist = scan.twist;
+        // What is left of the error of the motion, in each number of the twist, and what comes to it.
+        let (mut shares, mut variances) = ([0.0; 6], [0.0; 6]);
         for i in 0..6 {
             let Blend { mean, variance, share } = self.blend(i, (-seconds.max(0.0), -seconds.min(0.0)), scan);
-            twist[i] = scan.to_middle.map_or(mean, |to_middle| to_middle[i]);
-            let share = if scan.to_middle.is_some() { 0.0 } else { share };
+            (twist[i], variances[i], shares[i]) = match scan.to_middle {
+                Some(to_middle) => (to_middle[i], scan.covariance[i][i], 0.0),
+                None => (mean, variance, share),
+            };
+        }
+        for i in 0..6 {
+            let known = shares[i] * shares[i] * then.covariance[TWIST + i][TWIST + i];
             for j in 0..TWIST {
-                then.covariance[TWIST + i][j] *= share;
-                then.covariance[j][TWIST + i] *= share;
+                then.covariance[TWIST + i][j] *= shares[i];
+                then.covariance[j][TWIST + i] *= shares[i];
             }
-            let variance = if scan.to_middle.is_some() { scan.covariance[i][i] } else { variance };
-            then.covariance[TWIST + i][TWIST + i] = variance;
+            (0..6).for_each(|j| then.covariance[TWIST + i][TWIST + j] *= shares[i] * shares[j]);
+            then.covariance[TWIST + i][TWIST + i] = variances[i].max(known);
         }
         then.twist = twist;
         then.led_back(belief, seconds, stamp_sigma, freedom)
