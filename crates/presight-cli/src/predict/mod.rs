@@ -297,6 +297,11 @@ impl Args {
         if self.reuse_visible && self.poses.is_none() {
             return Err(Error::usage("--reuse-visible needs a series of poses", "give --poses FILE, or drop it"));
         }
+        // The parser waives a required flag that conflicts with one that is given.
+        #[cfg(feature = "ros")]
+        if self.mcap.is_some() && self.poses.is_none() {
+            return Err(Error::usage("--mcap needs poses with stamps", "give --poses FILE.tum"));
+        }
         let of_one =
             [("--repeat", self.repeat.is_some()), ("--stats", self.stats.is_some()), ("--explain", self.explain)];
         match of_one.iter().find(|(_, given)| *given && self.is_series()) {

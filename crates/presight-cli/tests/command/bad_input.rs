@@ -114,10 +114,10 @@ fn wrong_usage() {
                 "0,0,1,0,0,0",
                 "; give x,y,z,roll",
             ),
-            bad(with("--pose 0,0,1,0,0,0,0"), 2, &["--pose", "quaternion"]).until(
+            bad(with("--pose 0,0,1,0,0,0,0"), 2, &["--pose", "quaternion of length 0"]).until(
                 "0,0,0,0",
                 "0,0,0,1",
-                "x,y,z,qx,qy,qz,qw",
+                "qx,qy,qz,qw",
             ),
             bad(with(""), 2, &["--pose is missing"]).until(
                 "out.exr",

@@ -336,7 +336,8 @@ fn excluded_objects_are_not_predicted() {
         };
         assert_eq!((count(""), count("--exclude robot")), (all, kept), "{layer}");
     }
-    let words = ["robot.glb", "--exclude: there is no object \"robto\"", "; presight inspect lists"];
+    let words =
+        ["robot.glb", "--exclude: there is no object \"robto\"", "; did you mean \"robot\"? presight inspect lists"];
     let line = "predict robot.glb --sensor laser-scanner --pose 0,0,1,0,0,0 --exclude robot robto";
     check(&place, vec![bad(line, 2, &words)]);
     let line = "localize a.exr --map robot.glb --init 0,0,1,0,0,0 --out x.tum --exclude robot robto";

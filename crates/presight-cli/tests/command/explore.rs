@@ -134,8 +134,10 @@ fn planar_scans_become_walls_of_the_height_that_is_given() {
 fn an_explored_store_gives_an_occupancy_grid() {
     let place = drive();
     assert_eq!(place.run("explore log --sensor log/sensor.toml --detail 0.05 --out room.presight").status, Some(0));
-    let said = place.done("occupancy room.presight --cell 0.1 --out grid.yaml");
-    assert!(said.contains("free") && said.contains("occupied"), "{said}");
+    let made = place.run("occupancy room.presight --cell 0.1 --out grid.yaml");
+    let said = &made.stdout;
+    assert!(made.status == Some(0) && said.contains("free") && said.contains("occupied"), "{made:?}");
+    assert!(made.stderr.contains("this grid is of level 1; --level N takes another one"), "{made:?}");
     let yaml = fs::read_to_string(place.path("grid.yaml")).unwrap();
     assert!(yaml.contains("image: \"grid.pgm\"\n") && yaml.contains("resolution: 0.1\n"), "{yaml}");
     assert!(fs::read(place.path("grid.pgm")).unwrap().starts_with(b"P5\n"));

@@ -308,7 +308,7 @@ fn comparison_finds_a_fault_and_locates_it() {
 fn presets_print_a_sensor_file() {
     let place = Place::new();
     let listed = place.done("sensors");
-    assert_eq!(listed.lines().count(), 8);
+    assert_eq!(listed.lines().count(), 12);
     for line in listed.lines() {
         let name = line.split_whitespace().next().unwrap();
         place.write("mine.toml", place.done(&format!("sensors {name}")).as_bytes());

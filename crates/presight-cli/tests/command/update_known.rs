@@ -58,7 +58,11 @@ fn put(place: &Place, name: &str, mesh: Mesh) {
 fn learn(place: &Place, rest: &[&str]) -> Outcome {
     let line = format!("update log/scans.jsonl --map map.presight {POSES} --out found");
     let args: Vec<&str> = line.split(' ').chain(rest.iter().copied()).collect();
-    place.run_args(&args)
+    let mut done = place.run_args(&args);
+    // What the readings were taken as is not of interest here.
+    done.stderr =
+        done.stderr.split_inclusive('\n').filter(|line| !line.contains(" readings, presight takes ")).collect();
+    done
 }
 
 /// The ramp of the library takes the place of the boxes, where it stands; a longer one, which is seen through, does not, and a
