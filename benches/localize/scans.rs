@@ -171,7 +171,7 @@ fn row(scene: &str, world: &World, (name, case): (&str, Case), lidar_name: &str,
             }
             if let Some(verdicts) = step.estimate.verdicts.first() {
                 let counts = verdicts.counts();
-                let of = |verdict: Verdict| counts[verdict as usize] as usize;
+                let of = |verdict: Verdict| counts[verdict as usize];
                 confirmed += of(Verdict::Confirmed);
                 decided += of(Verdict::Confirmed) + of(Verdict::Nearer) + of(Verdict::Farther);
             }

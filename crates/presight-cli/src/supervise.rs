@@ -290,7 +290,8 @@ fn corridor_markers(cells: &Cells, report: &Report, origin: &MessageOrigin, corr
     const GREY: [f32; 4] = [0.5, 0.5, 0.5, 0.15];
     const GREEN: [f32; 4] = [0.1, 0.8, 0.2, 0.4];
     const RED: [f32; 4] = [0.9, 0.1, 0.1, 0.8];
-    let kinds: [(&str, [f32; 4], fn(&CellState) -> bool); 3] = [
+    type IsOfKind = fn(&CellState) -> bool;
+    let kinds: [(&str, [f32; 4], IsOfKind); 3] = [
         ("unseen", GREY, |state| matches!(state, CellState::Unseen(_))),
         ("known", GREEN, |state| matches!(state, CellState::Known(_))),
         ("intruded", RED, |state| matches!(state, CellState::Intruded)),

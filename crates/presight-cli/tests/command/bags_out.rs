@@ -184,9 +184,9 @@ fn outputs_that_cannot_be_are_refused() {
         vec![
             bad("predict room.glb --sensor vlp-16 --pose 1,1,1,0,0,0 --mcap a.mcap", 2, &["--poses"]),
             bad("predict room.glb --sensor vlp-16 --poses drive.tum --mcap a.bag", 2, &["--mcap", ".mcap"]),
-            bad(&format!("localize {log} --out a.tum --mcap a.mcap"), 2, &["a.mcap", "input file"]),
-            bad(&format!("replay {log} --given"), 2, &["--mcap"]),
-            bad(&format!("replay {log}"), 2, &["--out"]),
+            bad(format!("localize {log} --out a.tum --mcap a.mcap"), 2, &["a.mcap", "input file"]),
+            bad(format!("replay {log} --given"), 2, &["--mcap"]),
+            bad(format!("replay {log}"), 2, &["--out"]),
             bad("predict room.glb --sensor vlp-16 --poses drive.tum --mcap nowhere/a.mcap", 4, &["nowhere/a.mcap"]),
         ],
     );

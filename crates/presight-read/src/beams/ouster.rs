@@ -226,7 +226,7 @@ impl<'a> Metadata<'a> {
 
     /// The elevations, as many as the sensor has beams.
     fn angles(&self, field: Field, product: &str) -> Result<Vec<f64>> {
-        let of_product = product.splitn(4, '-').nth(2).and_then(|beams| beams.parse::<usize>().ok());
+        let of_product = product.split('-').nth(2).and_then(|beams| beams.parse::<usize>().ok());
         let rows = self.whole(ROWS)?.map(|rows| rows as usize).or(of_product);
         match rows {
             Some(rows) => self.exactly(field, rows, "beams"),
