@@ -101,7 +101,6 @@ fn of_panic(panic: &(dyn Any + Send)) -> Ours {
 
 /// The exception for an error of the library.
 pub fn raised(py: Python<'_>, e: &Ours) -> PyErr {
-    let named = |text: &str| WORDS.iter().fold(text.to_owned(), |text, (ours, python)| text.replace(ours, python));
     let (text, kind) = (named(&e.to_string()), e.kind());
     let (exception, kind) = match kind {
         ErrorKind::Invalid => (Error::new_err(text), "invalid"),
@@ -131,10 +130,15 @@ pub fn usage(py: Python<'_>, argument: &str, what: impl Into<String>, remedy: im
     raised(py, &Ours::usage(what, remedy).at(argument))
 }
 
+/// A text of the library in Python's words.
+fn named(text: &str) -> String {
+    WORDS.iter().fold(text.to_owned(), |text, (ours, python)| text.replace(ours, python))
+}
+
 /// Raises notices as warnings.
 pub fn warn<'a>(py: Python<'_>, notices: impl IntoIterator<Item = &'a String>) -> PyResult<()> {
     for notice in notices {
-        let text = CString::new(notice.replace('\0', " ")).unwrap_or_default();
+        let text = CString::new(named(notice).replace('\0', " ")).unwrap_or_default();
         PyErr::warn(py, &Notice::type_object(py), &text, 1)?;
     }
     Ok(())

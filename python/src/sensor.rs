@@ -282,7 +282,7 @@ impl Sensor {
 
     /// When each pixel is measured: (rows, columns), float64, seconds after the stamp of a frame.
     ///
-    /// >>> presight.Sensor.load("laser-scanner").times().max()
+    /// >>> float(presight.Sensor.load("laser-scanner").times().max())
     /// 0.0
     fn times<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let (height, width) = (self.0.height(), self.0.width());

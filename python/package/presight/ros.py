@@ -132,11 +132,12 @@ class Follower:
 
     def work(self) -> None:
         while True:
-            frame = None
             with self.changed:
-                while not self.ended and (frame := self.messages.frame()) is None:
+                frame = self.messages.frame()
+                while not self.ended and frame is None:
                     self.changed.wait(timeout=1.0)
-                if self.ended:
+                    frame = self.messages.frame()
+                if self.ended or frame is None:
                     return
                 localizer = self.localizer
             try:
@@ -165,8 +166,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     args = parser().parse_args(given[: given.index("--ros-args")] if "--ros-args" in given else given)
     try:
-        import rclpy
-        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+        import rclpy  # type: ignore[import-not-found]
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # type: ignore[import-not-found]
     except ImportError:
         print("presight.ros: there is no rclpy; source the setup of your ROS 2 in this shell", file=sys.stderr)
         return 3

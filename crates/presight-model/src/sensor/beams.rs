@@ -94,7 +94,7 @@ impl BeamTable {
     ///
     /// # Errors
     /// [`ErrorKind::Invalid`] at the name of the list: a length other than the number of elevations, angles that are
-    /// not finite or not in degrees, origins beyond [`MAX_ORIGIN`], columns outside the image.
+    /// not finite or not in degrees, origins beyond 2 m, columns outside the image.
     pub fn check(&self) -> Result<()> {
         let (columns, rows) = (self.azimuth.len(), self.elevations_deg.len());
         let side = 1..=limits::MAX_IMAGE_SIDE as usize;

@@ -76,7 +76,7 @@ impl RayTable {
     ///
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if their number is not width x height, or one is not finite or beyond
-    /// [`MAX_ORIGIN`] metres.
+    /// 2 m along an axis.
     pub fn with_origins(self, origins: Vec<DVec3>) -> Result<Self> {
         if origins.len() != self.directions.len() {
             let what = format!("{} origins for {} x {} rays", origins.len(), self.width, self.height);
