@@ -16,6 +16,7 @@ __all__ = [
     "Layer",
     "Localizer",
     "Log",
+    "Messages",
     "Notice",
     "Prediction",
     "Predictor",

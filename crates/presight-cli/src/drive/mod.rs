@@ -159,6 +159,7 @@ pub struct Sensed<'a> {
     /// What the robot's other sensors measured.
     pub beside: &'a [Frame],
     /// The message of a bag that holds the frame.
+    #[cfg_attr(not(feature = "ros"), expect(dead_code, reason = "only bags repeat what was recorded"))]
     pub recorded: Option<&'a Recorded>,
 }
 
