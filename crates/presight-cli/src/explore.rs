@@ -324,10 +324,7 @@ fn pose_at(poses: &[StampedPose], time: f64) -> Option<Pose> {
     }
     let last = poses.get(after.checked_sub(1)?)?;
     let share = (time - last.time) / (next.time - last.time);
-    (next.time - last.time <= 1.0).then(|| Pose {
-        rotation: last.pose.rotation.slerp(next.pose.rotation, share).normalize(),
-        translation: last.pose.translation.lerp(next.pose.translation, share),
-    })
+    (next.time - last.time <= 1.0).then(|| last.pose.between(&next.pose, share))
 }
 
 fn report(found: &Exploration, views: &Views, number: u64) -> String {

@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3, Vec3Swizzles};
 use std::ops::{Add, Mul, Sub};
 
 /// The part of a convex polygon where a linear function is not negative.
-pub(super) fn half<P>(corners: &[P], side: impl Fn(P) -> f64) -> Vec<P>
+pub fn half<P>(corners: &[P], side: impl Fn(P) -> f64) -> Vec<P>
 where
     P: Copy + Add<Output = P> + Sub<Output = P> + Mul<f64, Output = P>,
 {

@@ -15,7 +15,7 @@ mod level;
 mod raster;
 
 pub use cover::SEAM;
-pub use cut::distance_from_above;
+pub use cut::{distance_from_above, half};
 pub use field::{FieldOptions, HeightField};
 pub use footing::{Footing, height_below};
 pub use level::Level;

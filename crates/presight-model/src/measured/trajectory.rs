@@ -3,9 +3,7 @@
 use super::{MAX_POSE_GAP_S, ScanMotion};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-
-/// No stamp in seconds is larger (the year 33,000); stamps in nanoseconds are.
-const MAX_STAMP_S: f64 = 1e12;
+use crate::plausible::check_stamp;
 
 /// Poses of the robot over time, linear in the position and spherically linear in the orientation between them.
 ///
@@ -87,15 +85,6 @@ impl Trajectory {
         }
         Ok(knots)
     }
-}
-
-fn check_stamp(stamp: f64) -> Result<()> {
-    if stamp.abs() <= MAX_STAMP_S {
-        return Ok(());
-    }
-    let what =
-        if stamp.is_finite() { format!("a stamp of {stamp} is in nanoseconds") } else { format!("a stamp of {stamp}") };
-    Err(Error::invalid(what, "give seconds"))
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Convex polygons cut by axis-aligned planes.
 
 use glam::DVec3;
+use presight_model::floor::half;
 use presight_model::geometry::Aabb;
 
 /// The part of a convex polygon inside of a box; empty if they have no point in common.
@@ -8,27 +9,11 @@ pub fn clipped(mut corners: Vec<DVec3>, bounds: &Aabb) -> Vec<DVec3> {
     for axis in 0..3 {
         for (limit, sign) in [(bounds.min[axis], 1.0), (bounds.max[axis], -1.0)] {
             if limit.is_finite() {
-                corners = half(&corners, |p| sign * (p[axis] - limit));
+                corners = half(&corners, |p: DVec3| sign * (p[axis] - limit));
             }
         }
     }
     corners
-}
-
-/// The part of a convex polygon where a linear function is not negative.
-fn half(corners: &[DVec3], side: impl Fn(DVec3) -> f64) -> Vec<DVec3> {
-    let mut kept = Vec::with_capacity(corners.len() + 1);
-    for (i, &p) in corners.iter().enumerate() {
-        let q = corners[(i + 1) % corners.len()];
-        let (a, b) = (side(p), side(q));
-        if a >= 0.0 {
-            kept.push(p);
-        }
-        if a * b < 0.0 {
-            kept.push(p + (q - p) * (a / (a - b)));
-        }
-    }
-    kept
 }
 
 #[cfg(test)]
