@@ -2,7 +2,7 @@
 //! [SENSOR,..]`. The scans come from the test kit's own ray caster, 25 turns of 0.1 s a drive, up to 2 m/s and 1.5
 //! rad/s with changing speed; the start is exact and stated to 5 cm and 2 degrees. Each row is the mean over the
 //! drives. `-- turns [DRIVES]` counts how often a drive of scans measured at once is said to turn, and `-- turns learn`
-//! shows what is learnt of 18 kinds of logs.
+//! shows the times that the localizer learns from 18 kinds of logs.
 
 use super::single;
 use cpu_time::ProcessTime;
@@ -26,7 +26,7 @@ const BEFORE: f64 = 2.5;
 /// The 99.99 % quantile of chi squared with six degrees of freedom.
 const QUANTILE: f64 = 27.86;
 
-/// What is measured and what the localizer is told.
+/// The motion of the robot, and the motion and times that the log states.
 #[derive(Clone, Copy, PartialEq)]
 enum Case {
     Standing,
@@ -41,11 +41,11 @@ enum Case {
 const CASES: [(&str, Case); 7] = [
     ("standing at each stamp", Case::Standing),
     ("standing, no odometry", Case::StandingAlone),
-    ("driving, told", Case::Told),
+    ("driving, stated", Case::Told),
     ("driving, alone", Case::Alone),
     ("driving, motion given", Case::Given),
-    ("driving, not told", Case::NotTold),
-    ("driving at 3 rad/s, told", Case::Fast),
+    ("driving, not stated", Case::NotTold),
+    ("driving at 3 rad/s, stated", Case::Fast),
 ];
 
 /// 64 x 512 rays or the preset, 1 m above the floor.
@@ -195,7 +195,7 @@ pub fn all(words: &[String]) {
     let is_asked =
         |k: usize, name: &str| words.get(k).is_none_or(|a| a == "-" || a.split(',').any(|part| name.contains(part)));
     println!(
-        "| scene | lidar | drive | RMS from frame 3 on | told | NEES a number, frames 0, 1, 2 | from 3 on | tracking | beyond 99.99 % | confirmed | notes | CPU ms p50 |\n|---|---|---|---|---|---|---|---|---|---|---|---|"
+        "| scene | lidar | drive | RMS from frame 3 on | stated | NEES a number, frames 0, 1, 2 | from 3 on | tracking | beyond 99.99 % | confirmed | notes | CPU ms p50 |\n|---|---|---|---|---|---|---|---|---|---|---|---|"
     );
     for scene in ["factory_hall", "hospital"].into_iter().filter(|scene| is_asked(1, scene)) {
         let Some(world) = data::scene(scene, true) else { continue };
@@ -207,7 +207,7 @@ pub fn all(words: &[String]) {
     }
 }
 
-/// What is learnt of scans whose times are not stated.
+/// The times that the localizer learns where the log states none.
 pub fn turns(words: &[String]) {
     let Some(world) = data::scene("factory_hall", true) else { return };
     if words.first().is_some_and(|word| word == "learn") {

@@ -1,4 +1,4 @@
-//! Scans of a lidar that turns while the robot drives, cast by another library, each beside the scan of a robot that
+//! Scans of a lidar that turns while the robot drives, cast by another library, each with the scan of a robot that
 //! stands at its stamp.
 
 use glam::DVec3;
@@ -89,7 +89,7 @@ pub fn lidar(columns: u32, rows: u32) -> Sensor {
     Sensor::new(spec).expect("a sensor")
 }
 
-/// Scans of a drive, and poses of the sensor between them that judge what is made of the scans.
+/// Scans of a drive, and poses of the sensor between them, at which the explored model is judged.
 pub fn drive(environment: &Environment, sensor: &Sensor, count: usize, seed: u64) -> (Vec<Scan>, Vec<Pose>) {
     let bounds = environment.bounds();
     let oracle = Oracle::new(environment, 0.5 * (bounds.min + bounds.max)).expect("surfaces");

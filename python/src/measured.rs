@@ -162,7 +162,7 @@ const LOOK_BYTES: u64 = 64 << 20;
 impl Log {
     /// Reads a log. `sensor` supplies noise, limits and mount, and must have the log's image size. What the log leaves out is one warning.
     /// For a ROS 2 bag, `topic` names the measured topic if there are several, `base` the robot's frame (by default `base_link`, else
-    /// `base_footprint`), `mount` the sensor's pose on the robot where no static transform tells it, and `reflector` the intensity of a
+    /// `base_footprint`), `mount` the sensor's pose on the robot where no static transform gives it, and `reflector` the intensity of a
     /// full reflector.
     ///
     /// Raises `Error` naming file and frame, and `MemoryError` for a log that does not fit.

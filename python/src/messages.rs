@@ -1,4 +1,4 @@
-//! ROS 2 messages as bytes: what a node receives becomes frames, and answers become what it publishes.
+//! ROS 2 messages as bytes: received messages become frames, and answers become messages to publish.
 
 use super::arrays::{array, pose_numbers, pose_of};
 use super::errors::{Failed, apart, usage, warn};
@@ -22,7 +22,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// Messages go in by `add`; `frame` is the newest measurement, with the robot's motion by `/tf` since the frame before. `answers`,
 /// `comparison` and `model` give lists of (topic, type, latched, bytes), and `laser_scan`, `point_cloud2` and `image` one message of a
 /// prediction, at the time and in the frames of the last measurement. `base` is the robot's frame (by default `base_link`, else
-/// `base_footprint`); `sensor` gives noise and limits; `mount` is the sensor's pose on the robot where no static transform tells it;
+/// `base_footprint`); `sensor` gives noise and limits; `mount` is the sensor's pose on the robot where no static transform gives it;
 /// `reflector` is the intensity of a full reflector; `map` is the frame of the model.
 ///
 /// >>> import presight
@@ -37,7 +37,7 @@ pub struct Messages {
 
 struct State {
     live: LiveFrames,
-    /// Of the last frame.
+    /// The value for the last frame.
     origin: Option<MessageOrigin>,
 }
 

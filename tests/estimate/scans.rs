@@ -1,5 +1,4 @@
-//! Scans that take time: what the first ones say of a robot that drives already, and what is learnt of times that
-//! nobody states.
+//! Scans that take time: the first scans of a robot that drives already, and times that the log does not state.
 
 use super::changed::hall;
 use super::*;
@@ -146,7 +145,7 @@ fn the_times_of_a_scan_are_learnt() {
     }
 }
 
-/// A log that does not say that its scans take 0.1 s: the poses are those of the middles of the scans, and the
+/// A log that does not say that its scans take 0.1 s: each pose belongs to the middle of its scan, and the
 /// covariances know it.
 #[test]
 fn a_scan_of_unknown_times_has_a_wide_covariance() {

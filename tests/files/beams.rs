@@ -136,7 +136,7 @@ fn points_of_an_ouster_are_those_of_its_published_formula() {
             }
         }
         assert!(worst < EXACT, "{}: {worst} m", path.display());
-        // Beside the seam, where turning forth and back are one, offsets turned back go unseen.
+        // Near the seam a turn back equals a turn forth, so the fault does not show there.
         assert!(planted.iter().all(|count| 10 * count > 9 * rays), "{}: {planted:?} of {rays}", path.display());
     }
 }
@@ -227,7 +227,7 @@ fn metadata_at_fault_is_refused_with_the_field() {
     }
 }
 
-/// One fault each in a sound file: what is replaced, by what, and the field that the error names.
+/// One fault in each copy of a valid file: the replaced text, its replacement, and the field that the error names.
 #[test]
 fn faults_in_metadata_are_named() {
     let Some(path) = data::file("lidar_calib/ouster/2_5_0_os-992146000760-128_legacy.json") else { return };
@@ -260,7 +260,7 @@ fn faults_in_metadata_are_named() {
         (replaced("beam_azimuth_angles", vec![1.0; 64].into()), "beam_azimuth_angles: 64 values for 128"),
         (replaced("beam_azimuth_angles", vec!["x"; 128].into()), "beam_azimuth_angles: it is not a list of numbers"),
         (replaced("pixel_shift_by_row", vec![1; 64].into()), "data_format.pixel_shift_by_row: 64 values"),
-        (replaced("pixel_shift_by_row", vec![4096; 128].into()), "pixel_shift_by_row: 4096 is no number"),
+        (replaced("pixel_shift_by_row", vec![4096; 128].into()), "pixel_shift_by_row: 4096 is not a number"),
         (replaced("column_window", vec![0, 1024].into()), "data_format.column_window: columns 0 to 1024"),
         (replaced("lidar_origin_to_beam_origin_mm", 27.67.into()), "lidar_origin_to_beam_origin_mm: 27.67 mm where"),
         (replaced("beam_to_lidar_transform", vec![5000.0; 16].into()), "lidar_origin_to_beam_origin_mm"),
@@ -435,8 +435,8 @@ fn faults_in_patterns_are_named() {
         ("azimuth_deg,elevation_deg\n0,0\n".to_owned(), "line 1: time_s is missing"),
         ("azimuth_deg,elevation_deg,time_s,x\n0,0,0,0\n".to_owned(), "line 1: y is missing"),
         ("azimuth_deg,azimuth_deg,time_s\n".to_owned(), "named twice"),
-        ("azimuth,elevation_deg,time_s\n".to_owned(), "\"azimuth\" is no column"),
-        ("0,0,0\n".to_owned(), "line 1: \"0\" is no column"),
+        ("azimuth,elevation_deg,time_s\n".to_owned(), "\"azimuth\" is not a column"),
+        ("0,0,0\n".to_owned(), "line 1: \"0\" is not a column"),
         (format!("{head}{}", "0,0,0\n".repeat(1_000_001)), "line 1000002: too many rays"),
     ] {
         let e = parse(text).expect_err(says);

@@ -1,4 +1,4 @@
-//! Sensors that move while they measure, and rays that start beside the sensor's origin: engines and reference against
+//! Sensors that move while they measure, and rays with origins of their own: engines and reference against
 //! parry's ray casts from each pixel's own pose, closed forms, and planted faults.
 
 #![allow(clippy::print_stderr)] // Prints results.

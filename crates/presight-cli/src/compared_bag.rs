@@ -21,7 +21,7 @@ pub struct ComparedBag {
 const LINE: f64 = 0.02;
 
 impl ComparedBag {
-    /// Compares on so many threads, 0 = all cores.
+    /// Compares on this number of threads; 0 means all cores.
     ///
     /// # Errors
     /// [`presight::ErrorKind::System`] if threads cannot be started.

@@ -281,7 +281,7 @@ impl Args {
     }
 }
 
-/// Prints what the readings of a log were taken as, and what is unknown of its scans.
+/// Prints how the readings of a log were interpreted, and which times or motions of its scans are unknown.
 fn notices_of(log: &Path, frames: &LogFrames) {
     let notices = frames.notices();
     print::notices(&notices.iter().map(|notice| format!("{}: {notice}", log.display())).collect::<Vec<_>>());

@@ -63,7 +63,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let inputs: Vec<&Path> = [args.drive.log.as_path(), &args.drive.map].into_iter().collect();
         Mark::new(&args.out, &format!("{args:?}"), &inputs)
     });
-    // A bag has an index at its end, so it is written anew.
+    // A bag has an index at its end, so the whole bag is written again.
     #[cfg(feature = "ros")]
     let goes_on = bag.is_none();
     #[cfg(not(feature = "ros"))]

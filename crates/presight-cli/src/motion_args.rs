@@ -23,7 +23,7 @@ pub struct MotionArgs {
     #[arg(long, value_name = "POSE", allow_hyphen_values = true, conflicts_with = "trajectory")]
     pose_end: Option<String>,
 
-    /// Poses over time, whose motion the scans follow; the stamps of the poses are those of the scans
+    /// Poses over time, whose motion the scans follow; each pose has the stamp of its scan
     ///
     /// Lines of timestamp tx ty tz qx qy qz qw, in the frames of --pose. Between two poses the position is linear and
     /// the orientation spherically linear.
@@ -88,10 +88,10 @@ impl MotionArgs {
     }
 
     /// The motion during the scans of a sensor; `given` is its pose at the stamp, if there is a single one. `meaning`
-    /// tells which body, axes and world poses describe.
+    /// states which body, axes and world poses describe.
     ///
     /// # Errors
-    /// Usage errors, and those of [`Trajectory::new`].
+    /// Usage errors, and the errors of [`Trajectory::new`].
     pub fn motions(
         &self,
         scene: &Scene,

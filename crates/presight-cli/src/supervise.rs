@@ -191,7 +191,7 @@ impl Run {
         Ok(Self { supervisor, predictor, out, frames, intruded, not_compared, first: None, shown: None })
     }
 
-    /// Looks at a frame. The report is drawn if no more telling one was before.
+    /// Looks at a frame. The report is drawn if no earlier report had more to show.
     fn add(&mut self, scene: &Scene, sensed: &Sensed<'_>, step: &Step) -> Result<Report> {
         let robot = (step.phase == Phase::Tracking).then_some(&step.pose);
         let frames: Vec<&Frame> = std::iter::once(sensed.frame).chain(sensed.beside).collect();

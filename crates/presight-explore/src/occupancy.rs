@@ -77,7 +77,7 @@ impl GridOptions {
         Ok(())
     }
 
-    /// The robot whose step is no higher than the obstacles that count.
+    /// The robot: its step is at most the height from which obstacles count.
     fn mobility(&self) -> Mobility {
         let step = self.from_height.clamp(0.0, Mobility::default().step);
         Mobility::default().with_step(step).with_height(self.to_height).with_slope_deg(self.slope_deg)
@@ -97,7 +97,7 @@ pub struct Grid {
     pub origin: DVec2,
     /// Height of the floor, metres in the world: the most frequent height of its level.
     pub floor: f64,
-    /// Levels of the scene by rising height, without those that are much smaller than the largest one.
+    /// Levels of the scene by rising height, without levels much smaller than the largest one.
     pub levels: Vec<Level>,
     /// Number of the level of this grid from 1, if it is in the list.
     pub level: Option<usize>,
@@ -176,7 +176,7 @@ impl Grid {
             for polygon in 0..object.mesh.polygon_count() as u32 {
                 let within = mark.bounds.is_none_or(|b| meets(object, polygon, &b));
                 if within && !environment.is_absent(index, polygon, None) {
-                    // From a step below: a floor that may be missing is no floor to drive on.
+                    // From a step below the floor: the robot must not drive where the floor may be missing.
                     mask.paint(&frame, &object.polygon_in_world(polygon), -step, |cell| *cell = Cell::Occupied);
                 }
             }

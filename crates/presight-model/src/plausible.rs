@@ -45,7 +45,7 @@ pub struct FramePeriod {
 /// Seconds between frames beyond which no robot records: one frame a minute. Milliseconds at 10 frames a second are 100.
 const MAX_PERIOD_S: f64 = 60.0;
 
-/// Frames after which the shortest time between two of them tells the unit.
+/// Minimum number of frames for a notice on the unit of time.
 const MIN_FRAMES: usize = 3;
 
 impl FramePeriod {

@@ -122,7 +122,7 @@ pub(super) fn sensor_remedy() -> String {
 fn seconds_of(part: &str) -> Result<(f64, f64)> {
     let ends = part.split_once("..").and_then(|(a, b)| Some((a.parse::<f64>().ok()?, b.parse::<f64>().ok()?)));
     ends.filter(|(from, to)| from.is_finite() && to.is_finite() && from < to).ok_or_else(|| {
-        Error::usage(format!("{part:?} is no part of a pattern"), "give its seconds, such as pattern.csv:0.2..0.3")
+        Error::usage(format!("{part:?} is not a part of a pattern"), "give its seconds, such as pattern.csv:0.2..0.3")
     })
 }
 

@@ -186,7 +186,7 @@ pub(crate) use fields;
 
 impl Sink {
     /// Starts a message with its header: plain CDR, little endian, no options.
-    #[allow(clippy::new_without_default, reason = "an empty message is no value")]
+    #[allow(clippy::new_without_default, reason = "an empty message has no value")]
     pub fn new() -> Self {
         Self { bytes: vec![0, 1, 0, 0] }
     }

@@ -50,7 +50,7 @@ impl Rectangle {
     }
 }
 
-/// A building, and what is true of its main floor.
+/// A building, and the true state of its main floor.
 #[derive(Clone, Debug)]
 pub struct Building {
     /// Its polygons.

@@ -159,7 +159,7 @@ pub struct Sensed<'a> {
     /// What the robot's other sensors measured.
     pub beside: &'a [Frame],
     /// The message of a bag that holds the frame.
-    #[cfg_attr(not(feature = "ros"), expect(dead_code, reason = "only bags repeat what was recorded"))]
+    #[cfg_attr(not(feature = "ros"), expect(dead_code, reason = "only bags repeat recorded messages"))]
     pub recorded: Option<&'a Recorded>,
 }
 
@@ -251,7 +251,7 @@ impl Drive {
         Ok(())
     }
 
-    /// Prints what the readings of the log were taken as, and what is unknown of its scans.
+    /// Prints how the readings of the log were interpreted, and which times or motions of its scans are unknown.
     fn print_notices(&self, log: &LogFrames) {
         let notices = log.notices();
         print::notices(&notices.iter().map(|notice| format!("{}: {notice}", self.log.display())).collect::<Vec<_>>());

@@ -485,7 +485,7 @@ impl Args {
             picture: u64::from(picture.0) * u64::from(picture.1),
             depth_png: self.depth_png.is_some(),
             // Bytes per point: a position in f64, and a normal in f32.
-            // A point of a bag has up to 30 bytes beside its position, and is encoded once more.
+            // A point of a bag has up to 30 bytes in addition to its position, and a copy in the encoded message.
             points: self.points.as_ref().map_or(0, |_| 24 + if self.normals() { 12 } else { 0 })
                 + if self.writes_bag() { 84 } else { 0 },
             reading: self.virtual_sensor.bytes_by_pixel(self.layers.writes_something()),

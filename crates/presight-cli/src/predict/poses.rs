@@ -190,7 +190,7 @@ impl Series<'_> {
             stacks.push(of_setup);
         }
         let stacked = self.names.are_stacked();
-        // A bag holds all poses, and is written anew.
+        // A bag holds all poses, so a resumed run writes the whole bag again.
         let kept = kept && !self.args.writes_bag();
         let are_there = |setup: &Setup, i| {
             let paths = || self.paths(&setup.sensor, i, &poses[i].0);

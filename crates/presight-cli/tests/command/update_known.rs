@@ -59,7 +59,7 @@ fn learn(place: &Place, rest: &[&str]) -> Outcome {
     let line = format!("update log/scans.jsonl --map map.presight {POSES} --out found");
     let args: Vec<&str> = line.split(' ').chain(rest.iter().copied()).collect();
     let mut done = place.run_args(&args);
-    // What the readings were taken as is not of interest here.
+    // The notice on readings is not under test here.
     done.stderr =
         done.stderr.split_inclusive('\n').filter(|line| !line.contains(" readings, presight takes ")).collect();
     done

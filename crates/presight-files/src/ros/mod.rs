@@ -152,7 +152,7 @@ pub fn measured(recorded: &Recorded) -> Vec<Record> {
 /// The pose of a `geometry_msgs/msg/PoseWithCovarianceStamped`, as RViz sends it on `/initialpose`.
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Invalid`] for a message that is cut, a pose that is none, or an invalid covariance.
+/// [`presight_model::ErrorKind::Invalid`] for a message that is cut, an invalid pose, or an invalid covariance.
 pub fn initial_pose(message: &[u8]) -> Result<PoseEstimate> {
     let message = PoseWithCovarianceStamped::decode(message)?;
     let Some(pose) = message.pose else {

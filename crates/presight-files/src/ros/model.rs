@@ -48,7 +48,7 @@ pub fn model(environment: &Environment, map: &str, stamp_ns: i64) -> Result<Reco
 }
 
 impl MessageOrigin {
-    /// Markers in a frame, in place of those that the topic had.
+    /// Markers in a frame, which replace the markers that the topic had.
     pub fn markers(&self, topic: &str, frame: &str, markers: impl IntoIterator<Item = SceneMarker>) -> Record {
         let mut all = vec![SceneMarker { kind: None, ..SceneMarker::new(MarkerKind::Cube, "", [0.0; 4]) }];
         all.extend(markers);

@@ -31,7 +31,7 @@ const SURE: f64 = 5.0;
 /// It must also exceed the usual error of a calibration: metres, radians, seconds.
 const MATTERS: (f64, f64, f64) = (0.01, 0.006, 0.005);
 
-/// Usual deviations of a, b, x, y, c, k and w, where the time alone is asked for: scales of some per cent, a mount known to some
+/// Usual deviations of a, b, x, y, c, k and w, for a fit of the time alone: scales of some per cent, a mount known to some
 /// centimetres and degrees, and odometry that drifts by 0.02 rad/m.
 const USUAL: [f64; N] = [0.05, 0.05, 0.05, 0.05, 0.0, 0.05, 0.02];
 

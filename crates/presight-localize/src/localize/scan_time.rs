@@ -3,7 +3,7 @@
 //! Matched with its twist open, a scan says by how much its points move from the first column to the last
 //! ([`crate::estimate::ScanTwist`]). The robot's twist v is known from the poses before and after, so this displacement
 //! is d = b v with the signed duration b of a turn: a weighted regression over the frames, with the scatter of its
-//! residuals. A constant delay of the poses shows against odometry only (see [`super::residuals`]): it says where in
+//! residuals. A constant delay of the poses shows against odometry only (see [`super::residuals`]): it shows where in
 //! the scan the stamp is.
 
 use super::drift::variance_of_means;
@@ -76,7 +76,7 @@ pub(super) struct ScanTime {
 }
 
 impl ScanTime {
-    /// For scans that are said to take so long; 0 if nothing is said.
+    /// For the stated duration of a scan, seconds; 0 if no duration is stated.
     pub fn new(turn_s: f64, stamp: StampAt) -> Self {
         Self { stated: (turn_s, stamp), ..Self::default() }
     }
@@ -257,7 +257,7 @@ impl Localizer {
         Ok((self.timing.scan_time.visible(said.as_ref(), self.velocity.twist(), freedom), middle))
     }
 
-    /// What a scan says of its points' motion from the first column to the last, if nobody says when they were
+    /// The motion of a scan's points from the first column to the last, by the scan itself, if the log does not state when they were
     /// measured, and the pose in its middle.
     fn said_by_untimed(&mut self, world: &World, frame: &Frame, step: &Step) -> Result<Option<(ScanTwist, Pose)>> {
         let (freedom, seconds) = (self.estimator.options.freedom, self.velocity.seconds());
@@ -306,7 +306,7 @@ impl Localizer {
     }
 }
 
-/// True if the columns of a frame may be measured one after the other, and nobody says when.
+/// True if the columns of a frame may be measured one after the other, and the log does not state when.
 fn can_turn(frame: &Frame) -> bool {
     let spec = frame.sensor().spec();
     let is_in_columns = match &spec.geometry {

@@ -17,7 +17,7 @@ use std::borrow::Cow;
 /// A larger share of frames that contradict the odometry gives a warning: with the stated noise the share is 1 in 10,000.
 const CONTRADICTING: f64 = 0.02;
 
-/// Motions from which the place of the stamp in a scan is told: its deviation decides.
+/// Minimum number of motions for an estimate of the place of the stamp in a scan; its deviation then decides.
 const MIN_MOTIONS: usize = 10;
 
 /// Most pixels of an image while the robot is lost.
@@ -62,7 +62,7 @@ impl Localizer {
         let whole = thin.as_ref().unwrap_or(frame);
         let still = if half > 0.0 { Some(self.put_to_middle(world, whole)?) } else { None };
         let motion = still.as_ref().map(|still| still.motion.clone());
-        // Rays that start beside the sensor's origin.
+        // Rays with origins of their own.
         let centred = if still.is_none() && !whole.has_one_pose() { Some(whole.deskewed(0.0)?) } else { None };
         let others = self.beside_at(beside, motion.as_ref(), frame.stamp + middle)?;
         let others: Vec<&Frame> = others.iter().map(|other| &**other).collect();

@@ -118,7 +118,7 @@ impl Simulator {
     }
 
     /// As [`Simulator::frame`], of a robot that moves while the sensor measures its rays: `motion` is relative to its pose
-    /// at the stamp. `None` if it stands. The frame does not tell the motion, as logs of robots do not.
+    /// at the stamp. `None` if it stands. The frame does not contain the motion, like the logs of robots.
     ///
     /// # Errors
     /// Errors of [`Simulator::frame`]; [`presight_model::ErrorKind::Invalid`] if the motion does not reach over the scan.

@@ -194,8 +194,8 @@ impl Environment {
                 .is_none_or(|parts| self.lies_in(object, polygon, &parts))
     }
 
-    /// Object and polygon of all surfaces that stand in the way of a robot: deleted objects and what is marked as absent for
-    /// all sensors are left out.
+    /// Object and polygon of all surfaces that stand in the way of a robot: without deleted objects and without surfaces
+    /// marked as absent for all sensors.
     pub fn present_polygons(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
         let live = (0u32..).zip(self.objects()).filter(|(_, object)| !object.is_deleted());
         live.flat_map(|(index, object)| (0..object.mesh.polygon_count() as u32).map(move |polygon| (index, polygon)))

@@ -31,7 +31,7 @@ impl Default for Pose {
     }
 }
 
-/// Largest deviation of a quaternion's length from 1: more is no rounding (tf2 has the same limit). Quaternions in another
+/// Largest deviation of a quaternion's length from 1: rounding stays below it (tf2 has the same limit). Quaternions in another
 /// order or unit are often of another length.
 const MAX_LENGTH_OFF: f64 = 0.01;
 

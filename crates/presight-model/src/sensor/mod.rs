@@ -295,7 +295,7 @@ impl Sensor {
         inside.then(|| self.0.grid.ray(column, row)).flatten()
     }
 
-    /// True if the rays of a table start beside the sensor's own origin: see [`RayTable::with_origins`].
+    /// True if the rays of a table have origins of their own: see [`RayTable::with_origins`].
     pub fn has_origins(&self) -> bool {
         matches!(&self.0.spec.geometry, Geometry::Rays(table) if table.origins().is_some())
     }

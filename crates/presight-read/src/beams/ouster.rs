@@ -160,7 +160,7 @@ impl<'a> Metadata<'a> {
     fn whole(&self, field: Field) -> Result<Option<u32>> {
         let Some(value) = self.value(field) else { return Ok(None) };
         let whole = value.as_u64().and_then(|n| u32::try_from(n).ok());
-        whole.map(Some).ok_or_else(|| self.fault(field, format!("{value} is no count"), "give a whole number"))
+        whole.map(Some).ok_or_else(|| self.fault(field, format!("{value} is not a count"), "give a whole number"))
     }
 
     fn text(&self, field: Field) -> Result<Option<&'a str>> {
@@ -257,7 +257,7 @@ impl<'a> Metadata<'a> {
     /// Where a beam leaves the sensor, metres in the frame of the lidar turned with its head.
     fn beam_origin(&mut self, product: &str) -> Result<DVec3> {
         let distance = match self.value(ORIGIN) {
-            Some(value) => Some(value.as_f64().ok_or_else(|| self.fault(ORIGIN, "it is no number", "give mm"))?),
+            Some(value) => Some(value.as_f64().ok_or_else(|| self.fault(ORIGIN, "it is not a number", "give mm"))?),
             None => None,
         };
         let matrix = self.exactly(BEAM_TO_LIDAR, 16, "numbers of a 4 x 4 matrix")?;
@@ -308,7 +308,7 @@ impl<'a> Metadata<'a> {
         let shifts = self.exactly(SHIFTS, rows, "beams")?;
         let most = f64::from(columns);
         if let Some(bad) = shifts.iter().flatten().find(|s| !(s.abs() < most && s.fract() == 0.0)) {
-            let what = format!("{bad} is no number of columns of an image with {columns}");
+            let what = format!("{bad} is not a number of columns of an image with {columns}");
             return Err(self.fault(SHIFTS, what, "give whole numbers of columns"));
         }
         let given = shifts.map(|shifts| shifts.iter().map(|s| *s as i32).collect());

@@ -34,7 +34,7 @@ const COLUMNS: [&str; 6] = ["azimuth_deg", "elevation_deg", "time_s", "x", "y", 
 ///
 /// # Errors
 /// [`presight_model::ErrorKind::Invalid`] with line and column: unknown or missing columns, numbers that are not
-/// finite, angles that are no degrees, over [`MAX_LISTED_RAYS`] rays; [`presight_model::ErrorKind::System`] if the
+/// finite, angles that are not in degrees, over [`MAX_LISTED_RAYS`] rays; [`presight_model::ErrorKind::System`] if the
 /// system refuses.
 pub fn read(path: &Path) -> Result<RayPattern> {
     let parsed = file::open_or_given(path).and_then(|file| parse(&mut BufReader::new(file)));
@@ -109,7 +109,7 @@ fn columns(line: &str) -> Result<Order> {
     let mut order: Order = [None; 6];
     for (i, word) in line.split(',').map(str::trim).enumerate() {
         let Some(column) = COLUMNS.iter().position(|name| *name == word) else {
-            return Err(Error::invalid(format!("{} is no column of a pattern", quoted(word)), remedy));
+            return Err(Error::invalid(format!("{} is not a column of a pattern", quoted(word)), remedy));
         };
         if order[column].replace(i).is_some() {
             return Err(Error::invalid(format!("{word} is named twice"), remedy));
@@ -141,10 +141,9 @@ fn values(line: &str, order: &Order) -> Result<[f64; 6]> {
     for ((value, place), name) in values.iter_mut().zip(order).zip(COLUMNS) {
         let Some(place) = place else { continue };
         let word = words[*place];
-        *value =
-            word.parse().ok().filter(|x: &f64| x.is_finite()).ok_or_else(|| {
-                Error::invalid(format!("{} is no finite number", quoted(word)), "give a number").at(name)
-            })?;
+        *value = word.parse().ok().filter(|x: &f64| x.is_finite()).ok_or_else(|| {
+            Error::invalid(format!("{} is not a finite number", quoted(word)), "give a number").at(name)
+        })?;
     }
     for (angle, most, name) in [(values[0], 720.0, COLUMNS[0]), (values[1], 90.0, COLUMNS[1])] {
         if angle.abs() > most {
@@ -178,7 +177,7 @@ impl RayPattern {
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Usage`] for a duration of 0 or over the pattern's own, and if no ray is in it;
-    /// [`presight_model::ErrorKind::Invalid`] for origins that are no metres.
+    /// [`presight_model::ErrorKind::Invalid`] for origins that are not in metres.
     pub fn sensor(&self, name: &str, stamp: f64, seconds: Option<f64>) -> Result<SensorSpec> {
         let (first, period) = (self.span().0, self.period());
         let duration = seconds.unwrap_or(period);

@@ -3,7 +3,7 @@
 //!
 //! A column is one firing of all lasers, from azimuth 0 (x forward) clockwise; rows are lasers by falling elevation. A
 //! file has neither the speed nor the model: columns are the firings of a turn at 600 revolutions a minute, and the
-//! number of lasers tells the times of firing. The driver turns lasers on with their times for 16 and 128 lasers.
+//! number of lasers determines the times of firing. The driver turns lasers on with their times for 16 and 128 lasers.
 
 use super::sensor_of;
 use crate::text::from_settings;
@@ -172,7 +172,7 @@ fn notices(lasers: &[Laser]) -> Vec<String> {
         let sees =
             |degrees: f64| lasers.iter().any(|laser| (laser.vert_correction.to_degrees() - degrees).abs() < 0.01);
         let instead = match lasers.len() {
-            16 if sees(15.0) => ": the sensor vlp-16-real has those of the manual, up to 11.2 mm",
+            16 if sees(15.0) => ": the sensor vlp-16-real has the offsets of the manual, up to 11.2 mm",
             32 if sees(15.0) => ": the sensor vlp-32c-real has them",
             _ => "",
         };

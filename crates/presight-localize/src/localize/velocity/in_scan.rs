@@ -1,4 +1,4 @@
-//! The twist during a scan: what it teaches of the robot's motion, and the pose at the stamp that follows from it.
+//! The twist during a scan: how it improves the estimate of the robot's motion, and the pose at the stamp that follows from it.
 
 use super::super::drift::variance_of_means;
 use super::super::scan::DuringScan;
@@ -49,7 +49,7 @@ impl Velocity {
         let mut then = self.clone();
         then.hold(belief);
         let mut twist = scan.twist;
-        // What is left of the error of the motion, in each number of the twist, and what comes to it.
+        // The share of the motion's error that remains in each component of the twist, and the component's variance.
         let (mut shares, mut variances) = ([0.0; 6], [0.0; 6]);
         for i in 0..6 {
             let Blend { mean, variance, share } = self.blend(i, (-seconds.max(0.0), -seconds.min(0.0)), scan);

@@ -12,7 +12,7 @@ use presight_ros::message::{CameraInfo, Header, Message, Odometry, TFMessage};
 use presight_ros::{FrameTree, Lookup, Record, clean_frame_id, is_static_topic};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Frames of one sensor from messages that come one by one, by the rules for bags. Topics are told apart by their
+/// Frames of one sensor from messages that come one by one, by the rules for bags. Topics are distinguished by their
 /// types: the topic of the options is the measured one, every other message is a transform, an odometry or a
 /// `CameraInfo`.
 pub struct LiveFrames {
@@ -42,11 +42,11 @@ impl LiveFrames {
         }
     }
 
-    /// Takes in a message. A measurement is left out, with a notice, while no transform tells the sensor's mount.
+    /// Takes in a message. A measurement is left out, with a notice, while the sensor's mount is unknown.
     ///
     /// # Errors
     /// [`presight_model::ErrorKind::Invalid`] for a message that contradicts itself, or has a stamp before the last
-    /// one: the clock has jumped, frames and transforms over time are forgotten, and the next message begins anew;
+    /// one: the clock has jumped, frames and transforms over time are forgotten, and the next message starts a new sequence;
     /// [`presight_model::ErrorKind::Usage`] for a type that presight does not read.
     pub fn add(&mut self, record: Record) -> Result<()> {
         match record.topic.message_type.as_str() {

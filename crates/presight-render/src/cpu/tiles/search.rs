@@ -151,7 +151,7 @@ impl<'a> Objects<'a> {
         self.known
     }
 
-    /// Takes the pose of a bundle of rays. Returns true if polygons have to be set up anew.
+    /// Takes the pose of a bundle of rays. Returns true if polygons have to be set up again.
     #[inline(always)]
     pub fn turn_to(&mut self, bundle: u32) -> bool {
         let Some(poses) = self.plan.bundles().filter(|_| bundle != self.bundle) else { return false };
