@@ -1,7 +1,7 @@
 //! Scans of a lidar that turns while the robot drives, cast by another library, each with the scan of a robot that
 //! stands at its stamp.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use presight_model::environment::Environment;
 use presight_model::geometry::{Pose, RobotPose, SensorPose};
 use presight_model::measured::{Frame, Measurement, ScanMotion};
@@ -27,6 +27,8 @@ pub struct Scan {
     pub standing: Frame,
     /// A scan of a robot that stands where the driving one is in the middle of its scan.
     pub in_the_middle: (Frame, Pose),
+    /// The same place with other noise.
+    pub in_the_middle_again: (Frame, Pose),
     /// Poses during the scan by seconds after the stamp, world.
     path: Vec<(f64, Pose)>,
 }
@@ -36,6 +38,8 @@ pub struct Scan {
 pub enum Told {
     /// The truth.
     Truth,
+    /// Odometry that measures 2 % too long a distance and 2 % too wide a turn.
+    Slipping,
     Nothing,
     /// Velocity along the axes of the world instead of the robot's.
     WorldAxes,
@@ -64,6 +68,11 @@ impl Scan {
         let own = from(&|pose| self.pose.inverse() * *pose);
         match told {
             Told::Truth => self.driving.clone().with_scan_motion(own),
+            Told::Slipping => self.driving.clone().with_scan_motion(from(&|pose| {
+                let moved = self.pose.inverse() * *pose;
+                let rotation = DQuat::from_scaled_axis(1.02 * moved.rotation.to_scaled_axis());
+                Pose { translation: 1.02 * moved.translation, rotation }
+            })),
             Told::Nothing => self.driving.clone(),
             Told::WorldAxes => self.driving.clone().with_scan_motion(from(&|pose| Pose {
                 translation: pose.translation - self.pose.translation,
@@ -89,14 +98,23 @@ pub fn lidar(columns: u32, rows: u32) -> Sensor {
     Sensor::new(spec).expect("a sensor")
 }
 
-/// Scans of a drive, and poses of the sensor between them, at which the explored model is judged.
-pub fn drive(environment: &Environment, sensor: &Sensor, count: usize, seed: u64) -> (Vec<Scan>, Vec<Pose>) {
+/// Scans of a drive, and poses of the sensor between them, at which the explored model is judged. All have the noise of the
+/// sensor; `disturbed` ones also have drop-outs and mixed pixels at jumps, which differ from scan to scan.
+pub fn drive(
+    environment: &Environment,
+    sensor: &Sensor,
+    count: usize,
+    (seed, disturbed): (u64, bool),
+) -> (Vec<Scan>, Vec<Pose>) {
     let bounds = environment.bounds();
     let oracle = Oracle::new(environment, 0.5 * (bounds.min + bounds.max)).expect("surfaces");
     let driving = Driving { seconds: START_S + EVERY_S * (count + 1) as f64, speed: 1.5, turn: 1.0 };
     let route = Route::wander(&oracle, &bounds, &driving, seed);
     let mut caster = Caster::new(environment, sensor.clone(), seed);
-    (caster.drop_outs, caster.mixed, caster.slip) = (0.0, 0.0, None);
+    caster.slip = None;
+    if !disturbed {
+        (caster.drop_outs, caster.mixed) = (0.0, 0.0);
+    }
     let scan = |k: usize| {
         let stamp = START_S + EVERY_S * k as f64;
         let pose = route.at(stamp);
@@ -105,9 +123,9 @@ pub fn drive(environment: &Environment, sensor: &Sensor, count: usize, seed: u64
         caster.times = RayTimes::AtOnce;
         let standing = caster.frame(&|_| pose, stamp, None);
         let middle = route.at(stamp + 0.5 * TURN_S);
-        let in_the_middle = (caster.frame(&|_| middle, stamp, None), middle);
+        let [in_the_middle, in_the_middle_again] = [(); 2].map(|()| (caster.frame(&|_| middle, stamp, None), middle));
         let path = (-12..=12).map(|i| 0.01 * f64::from(i)).map(|t| (t, route.at(stamp + t))).collect();
-        Scan { pose, driving, standing, in_the_middle, path }
+        Scan { pose, driving, standing, in_the_middle, in_the_middle_again, path }
     };
     let between = |k: usize| route.at(START_S + EVERY_S * (k as f64 + 0.5)) * sensor.spec().mount;
     ((0..count).map(scan).collect(), (0..count).map(between).collect())

@@ -28,7 +28,7 @@ fn main() {
 
 fn scene(name: &str, world: &World, count: usize) {
     let (sensor, real) = (drive::lidar(512, 64), world.environment());
-    let (scans, between) = drive::drive(real, &sensor, count, 1);
+    let (scans, between) = drive::drive(real, &sensor, count, (1, false));
     let standing = frames(&scans, |scan| scan.standing.clone());
     let letters = supervised(world, &scans.iter().map(|scan| scan.in_the_middle.clone()).collect::<Vec<_>>());
     let row = |what: &str, of: &[figures::At]| {

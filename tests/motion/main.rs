@@ -26,9 +26,44 @@ fn scene() -> World {
 }
 
 fn driven(count: usize, seed: u64) -> (World, Sensor, Vec<Scan>, Vec<Pose>) {
+    of_drive(count, (seed, false))
+}
+
+fn of_drive(count: usize, kind: (u64, bool)) -> (World, Sensor, Vec<Scan>, Vec<Pose>) {
     let (world, sensor) = (scene(), lidar(360, 16));
-    let (scans, between) = drive::drive(world.environment(), &sensor, count, seed);
+    let (scans, between) = drive::drive(world.environment(), &sensor, count, kind);
     (world, sensor, scans, between)
+}
+
+/// Scans with drop-outs and mixed pixels, moved by odometry that slips by 2 %. Two scans of one place then differ by their
+/// disturbances alone; the motion adds no more than it does without them.
+#[test]
+fn disturbed_scans_and_slipping_odometry_do_as_well() {
+    let (world, sensor, scans, between) = of_drive(14, (5, true));
+    let slipping = frames(&scans, |scan| scan.told(Told::Slipping));
+    let standing = frames(&scans, |scan| scan.standing.clone());
+    let shares = (confirmed(&world, &standing), confirmed(&world, &slipping));
+    println!("confirmed: {shares:?}");
+    assert!(shares.1 > shares.0 - 0.01, "{shares:?}");
+    let of_middle = |pick: fn(&Scan) -> figures::At| supervised(&world, &scans.iter().map(pick).collect::<Vec<_>>());
+    let middle = of_middle(|scan| scan.in_the_middle.clone());
+    let noise = differing(&middle, &of_middle(|scan| scan.in_the_middle_again.clone()));
+    let off = differing(&middle, &supervised(&world, &slipping));
+    println!("cells that differ: {off:.4}, by the disturbances alone {noise:.4}");
+    // The motion may add 1 %; both shares are of draws of the disturbances, whose sampling error is that of counts.
+    let cells = middle.iter().map(|frame| frame.chars().count()).sum::<usize>() as f64;
+    let sampling = ((off + noise) / cells).sqrt();
+    assert!(off <= noise + 0.01 + 3.0 * sampling, "{off} and {noise}, sampling {sampling}");
+    let judged = |frames: &[figures::At]| errors(world.environment(), &explored(frames), &sensor, &between);
+    let (still, driving) = (judged(&standing), judged(&slipping));
+    println!("standing {still:?}\ndriving {driving:?}");
+    assert!(driving.over_2_cm <= 1.4 * still.over_2_cm, "{driving:?} and {still:?}");
+    #[cfg(feature = "store")]
+    {
+        let found = [&standing, &slipping].map(|frames| figures::found(&world, frames));
+        println!("findings and beams: {found:?}");
+        assert!(found[1].0 == 0 && found[1].1 > found[0].1 - 0.005, "{found:?}");
+    }
 }
 
 /// Planted faults lower the share: no motion, a velocity in the world's axes, the other direction of turning, times
