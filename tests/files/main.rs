@@ -8,3 +8,4 @@ mod mirrored;
 mod moving_clouds;
 #[cfg(feature = "script")]
 mod script;
+mod skip_bad;

@@ -18,10 +18,10 @@ const EXAMPLES: &str = "Examples:
     presight edit hall.glb --sensor video-camera --layer hall.video.layer.json --no-open
 
   The layer in a store; every step is a change in its log:
-    presight edit hall.presight --sensor video-camera
+    presight edit site.presight --sensor video-camera
 
   On a robot, seen from here through ssh -L 4567:127.0.0.1:4567 ROBOT:
-    presight edit hall.presight --sensor video-camera --port 4567 --no-open";
+    presight edit site.presight --sensor video-camera --port 4567 --no-open";
 
 /// Edit a feature layer on a page that shows the predicted image; a click makes a feature
 ///

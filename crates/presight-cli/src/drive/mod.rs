@@ -8,7 +8,7 @@ mod start;
 
 pub use features::FeatureCounts;
 
-use super::bag_args::BagArgs;
+use super::bag_args::LogArgs;
 use super::outputs::OutputFiles;
 use super::resume::Resumed;
 use super::sensor_args::SensorArgs;
@@ -67,7 +67,7 @@ pub struct Drive {
     image: SensorArgs,
 
     #[command(flatten)]
-    bag: BagArgs,
+    logs: LogArgs,
 
     /// Options of the estimate: of a level scanner of one row on a level floor, of a sensor in any pose, or of scans of
     /// full panoramas of points [default: by the sensor]
@@ -226,7 +226,7 @@ impl Drive {
     }
 
     /// Reads the log without following it. Calls `visit` with each frame, and with its pose and message if the log has
-    /// them. The motion during scans is that of a trajectory, if one is given.
+    /// them. The motion during scans is that of a trajectory, if one is given. Prints the notices of the log.
     ///
     /// # Errors
     /// Errors from reading the log, map and sensor, and from `visit`.
@@ -235,8 +235,24 @@ impl Drive {
         &self,
         scene: &Scene,
         trajectory: Option<&[StampedPose]>,
-        mut visit: impl FnMut(&Scene, &Observation) -> Result<()>,
+        visit: impl FnMut(&Scene, &Observation) -> Result<()>,
     ) -> Result<()> {
+        let log = self.read_again(scene, trajectory, visit)?;
+        self.print_notices(&log);
+        Ok(())
+    }
+
+    /// As [`Drive::read`], for a log that was read before: its notices have been printed.
+    ///
+    /// # Errors
+    /// As [`Drive::read`].
+    #[cfg(any(feature = "ros", feature = "store"))]
+    pub fn read_again(
+        &self,
+        scene: &Scene,
+        trajectory: Option<&[StampedPose]>,
+        mut visit: impl FnMut(&Scene, &Observation) -> Result<()>,
+    ) -> Result<LogFrames> {
         self.check()?;
         let mut log = self.opened()?;
         if let Some(poses) = trajectory {
@@ -245,10 +261,7 @@ impl Drive {
         for observation in self.observations(&mut log, None) {
             visit(scene, &observation?)?;
         }
-        if trajectory.is_some() {
-            self.print_notices(&log);
-        }
-        Ok(())
+        Ok(log)
     }
 
     /// Prints how the readings of the log were interpreted, and which times or motions of its scans are unknown.
@@ -263,7 +276,7 @@ impl Drive {
             Some((_, sensor)) => Some(sensor.clone()),
             None => self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?,
         };
-        LogFrames::open_with(&self.log, sensor.as_ref(), &self.odometry()?, &self.bag.options()?)
+        self.logs.open(&self.log, sensor.as_ref(), &self.odometry()?)
     }
 
     /// The measurements from --from on and `after` a time, thinned, with the poses of planar documents on the floor.
@@ -315,6 +328,7 @@ impl Drive {
         let threads = Threads::from(self.threads).started()?;
         let (start, options) = (self.start(&first)?, self.options(first.frame.sensor()));
         let scene = self.scene()?;
+        print::far_outside(&scene, start.iter().map(|robot| robot.world_from_robot().translation));
         let mut grey = self.grey(&measured)?;
         let mut logs_beside = self.logs_beside()?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
@@ -330,7 +344,7 @@ impl Drive {
         let mut followed = Followed::default();
         for observation in std::iter::once(Ok(first)).chain(log) {
             let Observation { frame, reference, recorded } = observation?;
-            let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
+            let grey = self.logs.kept(grey.as_mut().and_then(|g| g.next_at(frame.stamp).transpose()).transpose())?;
             let others = logs_beside.iter_mut().filter_map(|log| log.next_at(frame.stamp).transpose());
             let others = others.map(|other| other.and_then(|o| self.thinned(o))).map(|o| o.map(|o| o.frame));
             let mut others = others.collect::<Result<Vec<Frame>>>()?;
@@ -389,7 +403,7 @@ impl Drive {
     /// Opens the logs of the robot's other sensors.
     fn logs_beside(&self) -> Result<Vec<LogBeside>> {
         let open = |(path, sensor): &(PathBuf, Sensor)| {
-            Ok(LogBeside { frames: LogFrames::open(path, Some(sensor), &self.odometry()?)?, next: None })
+            Ok(LogBeside { frames: self.logs.open_beside(path, sensor, &self.odometry()?)?, next: None })
         };
         self.robot.iter().skip(1).map(open).collect()
     }

@@ -58,11 +58,12 @@ const EXAMPLES: &str = "Examples:
     presight predict hall.glb --sensor laser-scanner --poses drive.tum --mcap drive.mcap
 
   A lidar on a robot that drives at 1.5 m/s and turns by 60 degrees/s, and its points put to the end of the scan:
-    presight predict hall.glb --sensor turning.toml --pose 0,0,1,0,0,0 --twist 1.5,0,0,0,0,60 \\
+    presight predict hall.glb --sensor vlp-16-real --pose 0,0,1,0,0,0 --twist 1.5,0,0,0,0,60 \\
       --points scan.ply --deskew 0.1
 
   Timing, and the stages that were skipped:
-    presight predict hall.glb --sensor vlp-16 --pose 0,0,1,0,0,0 --repeat 50 --stats stats.json --explain";
+    presight predict hall.glb --sensor vlp-16 --pose 0,0,1,0,0,0 --repeat 50 \\
+      --stats stats.json --explain";
 
 /// Predict the images of a sensor at a pose
 ///
