@@ -9,7 +9,7 @@ use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
 use super::sensor_args::SensorArgs;
 use super::series::SeriesProgress;
 use super::{CommandOutcome, bar, open_scene, print};
-use presight::environment::IndexKind;
+use presight::environment::{Aabb, IndexKind};
 use presight::files::{self, ImportOptions, StampedPose, files_named_by};
 use presight::measured::{Frame, Measurement, ScanMotion};
 use presight::predict::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};

@@ -94,7 +94,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Done)
 }
 
-/// Opens the page if there is a display. Nothing depends on it: the address is printed.
+/// Opens the page if there is a display. Nothing depends on it: the address is printed. Other users of the machine can
+/// read command lines, so that the browser gets the name of a file that only this user can read, which leads to the
+/// address with its token.
 fn open_browser(address: &str) {
     use std::process::{Command, Stdio};
     let has_display = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
@@ -104,6 +106,37 @@ fn open_browser(address: &str) {
         _ if has_display => Command::new("xdg-open"),
         _ => return,
     };
+    let Some(page) = redirect(address) else { return };
     let _goes_on_without =
-        command.arg(address).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+        command.arg(page.path()).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+    // The browser has read it by then; the token ends with this process.
+    std::thread::spawn(move || {
+        std::thread::sleep(READING_TIME);
+        drop(page);
+    });
+}
+
+/// The time that a browser may take to start.
+const READING_TIME: std::time::Duration = std::time::Duration::from_secs(60);
+
+/// A page, readable by this user alone, that leads to an address; `None` if the system refuses it.
+fn redirect(address: &str) -> Option<tempfile::NamedTempFile> {
+    use std::io::Write;
+    let mut file = tempfile::Builder::new().prefix("presight-edit-").suffix(".html").tempfile().ok()?;
+    write!(file, "<!doctype html><meta http-equiv=\"refresh\" content=\"0;url={address}\">").ok()?;
+    file.flush().ok()?;
+    Some(file)
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::PermissionsExt;
+
+    #[test]
+    fn only_this_user_can_read_the_token() {
+        let page = redirect("http://127.0.0.1:1/#abc").unwrap();
+        assert_eq!(page.as_file().metadata().unwrap().permissions().mode() & 0o077, 0);
+        assert!(std::fs::read_to_string(page.path()).unwrap().contains("url=http://127.0.0.1:1/#abc"));
+    }
 }

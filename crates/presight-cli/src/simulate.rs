@@ -4,7 +4,7 @@
 use super::output_bag::OutputBag;
 use super::outputs::OutputFiles;
 use super::sensor_args::SensorArgs;
-use super::{CommandOutcome, open_scene};
+use super::{CommandOutcome, open_scene, print};
 use presight::environment::IndexKind;
 use presight::files::{self, ImportOptions, LogFrame, StampedPose, load_sensor};
 use presight::measured::{Frame, ScanMotion};
@@ -256,7 +256,7 @@ fn write_images(
     pose: &StampedPose,
 ) -> Result<()> {
     let path = out.join("depth").join(files::image_name(pose.time));
-    super::print::notices(&png::write_depth(&path, &images(frame), frame.sensor())?);
+    print::notices(&png::write_depth(&path, &images(frame), frame.sensor())?);
     let Some(grey) = grey else { return Ok(()) };
     let frame = grey.frame(&scene.world, pose.time, &RobotPose::new(pose.pose))?;
     let image = frame.grey().expect("a grey simulator gives grey images");
@@ -300,7 +300,7 @@ impl Args {
     fn grey_simulator(&self, threads: &Threads) -> Result<Option<GreySimulator>> {
         let Some(name) = &self.grey else { return Ok(None) };
         let (camera, notices) = load_sensor(name)?;
-        super::print::notices(&notices);
+        print::notices(&notices);
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads.clone()))?;
         GreySimulator::new(predictor, camera, BLUR, self.grey_noise, self.seed ^ 0x6772_6579).map(Some)
     }

@@ -1,6 +1,12 @@
 // The one function by which the page talks to a session: message in, message out. Here by HTTP.
 
-const token = location.hash.slice(1);
+const [token, ...view] = location.hash.slice(1).split('@');
+
+/** The pose in the page's address, behind its token; empty without one. */
+export const poseInAddress = decodeURIComponent(view.join('@'));
+
+/** The address of this page with a pose. @param {string} pose */
+export const addressOf = pose => `#${token}@${pose}`;
 
 /** What the server refuses, with its remedy in the text. */
 export class Refused extends Error {}

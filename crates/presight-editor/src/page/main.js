@@ -1,6 +1,6 @@
 // The page: what is shown, what is chosen, and the messages between them and the session.
 
-import { Behind, newest, send } from './carrier.js';
+import { Behind, addressOf, newest, poseInAddress, send } from './carrier.js';
 import * as list from './list.js';
 import * as panel from './panel.js';
 import * as picture from './picture.js';
@@ -122,11 +122,33 @@ function changed({ keep = false } = {}) {
 }
 
 async function settle() {
+  remember();
   await ask({ full: true });
   askRegions();
   explain();
   mapGoesOn();
 }
+
+/** The pose whose entry is the newest of the browser's history. */
+let remembered = '';
+/** When the last entry was made; views of one movement share one. */
+let rememberedAt = -Infinity;
+
+/** Puts the pose into the page's address: reload shows the same view, and back the one before. */
+function remember() {
+  const here = poses.text(pose);
+  if (here === remembered) return;
+  const isMovement = performance.now() - rememberedAt < 1500;
+  history[isMovement || !remembered ? 'replaceState' : 'pushState'](null, '', addressOf(here));
+  [remembered, rememberedAt] = [here, performance.now()];
+}
+
+window.addEventListener('popstate', () => {
+  const found = poses.parse(decodeURIComponent(location.hash.split('@')[1] ?? ''));
+  if (!found || found.length !== 6) return;
+  [remembered, rememberedAt] = [poses.text(found), -Infinity];
+  go(found);
+});
 
 /** @param {number[]} next */
 function go(next) {
@@ -351,9 +373,12 @@ async function drawPlan() {
 let press = null;
 
 stage.addEventListener('pointerdown', (/** @type {PointerEvent} */ event) => {
-  if (event.button !== 0) return;
+  if (event.button > 2) return;
   stage.setPointerCapture(event.pointerId);
-  press = { x: event.clientX, y: event.clientY, from: picture.place(event), pose, moved: false, many: event.shiftKey };
+  press = {
+    x: event.clientX, y: event.clientY, from: picture.place(event), pose, moved: false, many: event.shiftKey && event.button === 0,
+    how: event.altKey || event.button === 1 ? 'orbit' : event.ctrlKey || event.button === 2 ? 'pan' : 'turn', away: distance(),
+  };
 });
 
 stage.addEventListener('pointermove', (/** @type {PointerEvent} */ event) => {
@@ -372,6 +397,11 @@ stage.addEventListener('pointermove', (/** @type {PointerEvent} */ event) => {
   }
   dragging = true;
   const degrees = Math.min(0.25, view().across / stage.clientWidth);
+  if (press.how === 'orbit') return go(poses.orbited(press.pose, press.away, dx * degrees, -dy * degrees));
+  if (press.how === 'pan') {
+    const metres = press.away * Math.tan(degrees * Math.PI / 180);
+    return go(poses.panned(press.pose, dx * metres, dy * metres));
+  }
   go(poses.turned(press.pose, dx * degrees, -dy * degrees));
 });
 
@@ -381,19 +411,28 @@ const release = (/** @type {PointerEvent} */ event) => {
   press = null;
   band.hidden = true;
   if (moved && many) choose(picture.within(features, from, picture.place(event)));
-  else if (!moved) click(picture.place(event));
+  else if (!moved && event.button === 0) click(picture.place(event));
   if (!dragging) return;
   dragging = false;
   clearTimeout(rest);
   rest = setTimeout(settle, 30);
 };
 stage.addEventListener('pointerup', release);
+stage.addEventListener('contextmenu', (/** @type {Event} */ event) => event.preventDefault());
+stage.addEventListener('mousedown', (/** @type {MouseEvent} */ event) => event.button === 1 && event.preventDefault());
 stage.addEventListener('pointercancel', () => { press = null; dragging = false; band.hidden = true; });
 
 stage.addEventListener('wheel', (/** @type {WheelEvent} */ event) => {
   event.preventDefault();
   go(poses.moved(pose, -Math.sign(event.deltaY) * speed(), 0, 0));
 }, { passive: false });
+
+/** Metres to what the middle of the picture shows, around which the view orbits; a few steps where it shows nothing. */
+function distance() {
+  const { range, size } = frame ?? {};
+  const middle = range?.[Math.floor(size[1] / 2) * size[0] + Math.floor(size[0] / 2)];
+  return Number.isFinite(middle) && middle > 0 ? middle : 20 * speed();
+}
 
 /** Metres of a step: a fiftieth of what the scene spans, 5 cm to 1 m. */
 function speed() {
@@ -475,6 +514,36 @@ get('where').addEventListener('submit', async (/** @type {Event} */ event) => {
   if (answer) go(answer.pose);
 });
 
+// Views to come back to, kept by the browser for this address and scene.
+
+/** @returns {string[]} */
+function bookmarks() {
+  try {
+    const kept = JSON.parse(localStorage.getItem(`views of ${state.scene}`) ?? '[]');
+    return Array.isArray(kept) ? kept.filter(view => typeof view === 'string' && poses.parse(view)?.length === 6) : [];
+  } catch {
+    return [];
+  }
+}
+
+/** @param {string[]} views */
+function keepBookmarks(views) {
+  localStorage.setItem(`views of ${state.scene}`, JSON.stringify(views));
+  showBookmarks();
+}
+
+function showBookmarks() {
+  get('views').replaceChildren(...bookmarks().map((view, i) => panel.make('button', {
+    type: 'button', title: `${view}: click to go there, Alt+click to forget it`,
+    onclick: (/** @type {MouseEvent} */ event) =>
+      event.altKey ? keepBookmarks(bookmarks().filter((_, k) => k !== i)) : go(/** @type {number[]} */ (poses.parse(view))),
+  }, String(i + 1))));
+}
+get('bookmark').addEventListener('click', () => {
+  const here = poses.text(pose);
+  if (!bookmarks().includes(here)) keepBookmarks([...bookmarks(), here]);
+});
+
 /** The command that predicts this view. */
 function command() {
   const pictureOf = output === 'range' ? '' : ` --png-of ${output}`;
@@ -541,6 +610,7 @@ function wire() {
   }
   get('make-view').onclick = () => step('generate', { pose });
   get('make-model').onclick = () => step('generate', { pose: null });
+  showBookmarks();
   get('m-pixel-box').hidden = state.sensor.pixel_sigma > 0;
   new ResizeObserver(() => { picture.fit(); drawLines(); }).observe(stage);
 }
@@ -556,6 +626,8 @@ panel.empty();
 await guarded(async () => {
   state = await send('state');
   pose = state.pose;
+  const asked = poses.parse(poseInAddress);
+  if (asked?.length === 6) pose = asked;
   wire();
   // The picture comes first, then the lists.
   const shown = ask({ full: false });
