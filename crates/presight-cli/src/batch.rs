@@ -304,6 +304,14 @@ fn frame_of(frame: &str) -> (PathBuf, Option<usize>) {
 }
 
 fn read_sensed(frame_name: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLikelihood> {
+    RangeLikelihood::new(&read_measured(frame_name, sensor)?, cell).map_err(|e| e.in_file(frame_of(frame_name).0))
+}
+
+/// Reads a measured image of a sensor: an EXR file, or `FILE#INDEX` of a log.
+///
+/// # Errors
+/// Those of the readers; [`presight::ErrorKind::Invalid`] for an image of another sensor.
+pub(super) fn read_measured(frame_name: &str, sensor: &Sensor) -> Result<Frame> {
     let (path, index) = frame_of(frame_name);
     let range = match index {
         Some(index) => {
@@ -327,7 +335,7 @@ fn read_sensed(frame_name: &str, sensor: &Sensor, cell: PoseCell) -> Result<Rang
     let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(range)).map_err(|e| e.in_file(&path))?;
     let notice = files::notice_of_readings(&frame);
     print::notices(&notice.map(|notice| format!("{frame_name}: {notice}")));
-    RangeLikelihood::new(&frame, cell).map_err(|e| e.in_file(&path))
+    Ok(frame)
 }
 
 /// A summary of the pose file, which is read in full at the start so that errors in it are found before any work.

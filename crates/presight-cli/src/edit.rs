@@ -1,5 +1,6 @@
 //! `presight edit`: the visual feature editor, on a page that this process serves.
 
+use super::batch::read_measured;
 use super::frame_args::FrameArgs;
 use super::pose::PoseArgs;
 use super::sensor_args::SensorArgs;
@@ -13,6 +14,9 @@ use std::path::PathBuf;
 const EXAMPLES: &str = "Examples:
   A new layer for a camera:
     presight edit hall.glb --sensor video-camera --pose 2,1,1.2,0,0,90
+
+  What the sensor measured, beside what it should see:
+    presight edit scenes/room.glb --sensor camera.toml --pose 0.7,2.2,1,0,0,0 --measured reference.exr
 
   An existing layer, without opening a browser:
     presight edit hall.glb --sensor video-camera --layer hall.video.layer.json --no-open
@@ -53,6 +57,10 @@ pub struct Args {
     #[arg(long, value_name = "FILE.layer.json")]
     layer: Option<PathBuf>,
 
+    /// Show what the sensor measured beside the predicted image: an EXR file, or frame INDEX of a log, from 0
+    #[arg(long, value_name = "FILE.exr|LOG#INDEX")]
+    measured: Option<String>,
+
     /// The port of the page's address, 0 = any free one
     #[arg(long, value_name = "N", default_value_t = 0)]
     port: u16,
@@ -77,6 +85,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     options.command.extend(["--sensor".to_owned(), args.sensor.clone()]);
     options.pose = pose.map(|pose| pose.of_sensor(sensor.spec(), &scene.world_from_gltf)).transpose()?;
     options.layer = args.layer.clone();
+    let read = |name: &String| read_measured(name, &sensor).map_err(|e| e.at(format!("--measured {name}")));
+    options.measured = args.measured.as_ref().map(read).transpose()?;
     if args.image.rectified {
         options.command.push("--rectified".into());
     }

@@ -141,6 +141,7 @@ const HEADINGS: [Heading; 20] = [
             "time",
             "policy",
             "library",
+            "measured",
             "recognizer",
             "views",
             "sure",

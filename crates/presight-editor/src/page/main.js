@@ -29,6 +29,8 @@ let selected = new Set();
 /** The pick: what the pixel sees and the features that it offers. @type {any} */
 let pick = null;
 let candidate = 0;
+/** What the sensor measured, if the command was given it. @type {any} */
+let measured = null;
 let seq = 0;
 let dragging = false;
 let slow = false;
@@ -73,6 +75,7 @@ const ask = newest(async (/** @type {{full: boolean}} */ { full }) => {
   if (answer.version !== state.version) await guarded(async () => take(await send('state')));
   frame = answer;
   picture.drawImage(frame, shown);
+  if (measured && (!dragging || shown === 'range')) picture.drawMeasured(measured, frame);
   if (frame.strokes) {
     features = picture.strokes(frame);
     list.show(frame.seen);
@@ -628,6 +631,8 @@ await guarded(async () => {
   pose = state.pose;
   const asked = poses.parse(poseInAddress);
   if (asked?.length === 6) pose = asked;
+  if (state.measured) measured = await send('measured');
+  get('measured').hidden = !measured;
   wire();
   // The picture comes first, then the lists.
   const shown = ask({ full: false });
