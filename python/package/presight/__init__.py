@@ -54,6 +54,7 @@ __all__ = [
     "Features",
     "Frame",
     "Layer",
+    "Learner",
     "Localizer",
     "Log",
     "Messages",
