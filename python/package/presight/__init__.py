@@ -27,6 +27,7 @@ from ._presight import (
     Features,
     Frame,
     Layer,
+    Learner,
     Localizer,
     Log,
     Messages,

@@ -76,9 +76,11 @@ class Follower:
         try:
             self.messages.add(topic, kind, data)
         except presight.Error as e:
-            self.warn_once(f"{topic} is left out: {e}")
-            if topic == self.args.topic and "is not after" in str(e):  # the clock has jumped back
+            if topic == self.args.topic and "is not after" in str(e):
+                self.say(f"the clock has jumped back, so the localizer starts anew: {str(e).split(';')[0]}")
                 self.restart(self.pose, self.args.init_sigma, self.args.init_sigma_deg)
+            else:
+                self.warn_once(f"{topic} is left out: {e}")
         with self.changed:
             self.changed.notify()
 

@@ -233,7 +233,7 @@ fn drives(args: &Args) -> Result<Vec<Drive>> {
         return Ok(vec![args.drive.of_robot(args.robot.as_deref(), &more)?]);
     }
     let logs = std::iter::once(args.drive.log.as_path()).chain(args.more.iter().map(PathBuf::as_path));
-    Ok(logs.map(|log| args.drive.with_log(log)).collect())
+    logs.map(|log| args.drive.with_log(log).of_robot(None, &[])).collect()
 }
 
 /// What a run saw of its frames.
