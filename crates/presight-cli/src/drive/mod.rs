@@ -14,7 +14,6 @@ use super::resume::Resumed;
 use super::sensor_args::SensorArgs;
 use super::{open_scene_without, print};
 use beside::LogBeside;
-use robot::RobotLog;
 use features::{not_sought, not_sought_in_scans};
 use indicatif::ProgressBar;
 use presight::environment::IndexKind;
@@ -25,6 +24,7 @@ use presight::localize::{Estimator, Freedom, Phase, Step};
 use presight::measured::Frame;
 use presight::verdict::Verdicts;
 use presight::{Backend, Error, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads};
+use robot::RobotLog;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 

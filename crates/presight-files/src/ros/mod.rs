@@ -18,10 +18,10 @@ use presight_model::measured::Frame;
 use presight_model::sensor::{Sensor, body_from_optical_rotation};
 use presight_read::atomic::{open_to_replace, refused};
 use presight_read::log::Recorded;
+use presight_ros::clean_frame_id;
 use presight_ros::message::{
     DiagnosticArray, DiagnosticStatus, Header, Message, PoseWithCovarianceStamped, TFMessage, TransformStamped,
 };
-use presight_ros::clean_frame_id;
 use std::fs::File;
 use std::path::Path;
 

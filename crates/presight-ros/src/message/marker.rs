@@ -51,11 +51,7 @@ impl SceneMarker {
     pub const LINE_M: f64 = 0.02;
 
     /// Lines between points 0 and 1, 2 and 3, ..., metres in the axes of the marker.
-    pub fn lines(
-        namespace: impl Into<String>,
-        color: [f32; 4],
-        points: impl IntoIterator<Item = [f64; 3]>,
-    ) -> Self {
+    pub fn lines(namespace: impl Into<String>, color: [f32; 4], points: impl IntoIterator<Item = [f64; 3]>) -> Self {
         let mut marker = Self::new(MarkerKind::LineList, namespace, color);
         (marker.scale, marker.points) = ([Self::LINE_M; 3], points.into_iter().collect());
         marker
