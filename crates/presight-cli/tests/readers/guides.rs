@@ -147,12 +147,15 @@ fn examples_of_help(help: &str) -> Vec<String> {
         };
         if code.ends_with('\\') || code.matches('\'').count() % 2 == 1 {
             open = Some(code);
-        } else if !serves(&code) {
+        } else if !serves(&code) && !MEASURE.iter().any(|command| code.starts_with(command)) {
             examples.push(code);
         }
     }
     examples
 }
+
+/// Commands that measure for minutes: README.md and docs/studies.md run one of each.
+const MEASURE: [&str; 2] = ["presight index", "presight report"];
 
 fn help_of(command: &str) -> String {
     let output = bash(&format!("presight {command} --help"), Path::new("/"));

@@ -1,9 +1,9 @@
 // The one function by which the page talks to a session: message in, message out. Here by HTTP.
 
-const [token, ...view] = location.hash.slice(1).split('@');
+const token = location.hash.slice(1).split('@')[0];
 
 /** The pose in the page's address, behind its token; empty without one. */
-export const poseInAddress = decodeURIComponent(view.join('@'));
+export const poseInAddress = () => location.hash.split('@')[1] ?? '';
 
 /** The address of this page with a pose. @param {string} pose */
 export const addressOf = pose => `#${token}@${pose}`;

@@ -1,11 +1,12 @@
 // The page: what is shown, what is chosen, and the messages between them and the session.
 
-import { Behind, addressOf, newest, poseInAddress, send } from './carrier.js';
+import { Behind, newest, send } from './carrier.js';
 import * as list from './list.js';
 import * as panel from './panel.js';
 import * as picture from './picture.js';
 import * as plan from './plan.js';
 import * as poses from './pose.js';
+import * as views from './views.js';
 
 /** @param {string} id */
 const get = id => /** @type {any} */ (document.getElementById(id));
@@ -125,33 +126,12 @@ function changed({ keep = false } = {}) {
 }
 
 async function settle() {
-  remember();
+  views.remember(pose);
   await ask({ full: true });
   askRegions();
   explain();
   mapGoesOn();
 }
-
-/** The pose whose entry is the newest of the browser's history. */
-let remembered = '';
-/** When the last entry was made; views of one movement share one. */
-let rememberedAt = -Infinity;
-
-/** Puts the pose into the page's address: reload shows the same view, and back the one before. */
-function remember() {
-  const here = poses.text(pose);
-  if (here === remembered) return;
-  const isMovement = performance.now() - rememberedAt < 1500;
-  history[isMovement || !remembered ? 'replaceState' : 'pushState'](null, '', addressOf(here));
-  [remembered, rememberedAt] = [here, performance.now()];
-}
-
-window.addEventListener('popstate', () => {
-  const found = poses.parse(decodeURIComponent(location.hash.split('@')[1] ?? ''));
-  if (!found || found.length !== 6) return;
-  [remembered, rememberedAt] = [poses.text(found), -Infinity];
-  go(found);
-});
 
 /** @param {number[]} next */
 function go(next) {
@@ -517,36 +497,6 @@ get('where').addEventListener('submit', async (/** @type {Event} */ event) => {
   if (answer) go(answer.pose);
 });
 
-// Views to come back to, kept by the browser for this address and scene.
-
-/** @returns {string[]} */
-function bookmarks() {
-  try {
-    const kept = JSON.parse(localStorage.getItem(`views of ${state.scene}`) ?? '[]');
-    return Array.isArray(kept) ? kept.filter(view => typeof view === 'string' && poses.parse(view)?.length === 6) : [];
-  } catch {
-    return [];
-  }
-}
-
-/** @param {string[]} views */
-function keepBookmarks(views) {
-  localStorage.setItem(`views of ${state.scene}`, JSON.stringify(views));
-  showBookmarks();
-}
-
-function showBookmarks() {
-  get('views').replaceChildren(...bookmarks().map((view, i) => panel.make('button', {
-    type: 'button', title: `${view}: click to go there, Alt+click to forget it`,
-    onclick: (/** @type {MouseEvent} */ event) =>
-      event.altKey ? keepBookmarks(bookmarks().filter((_, k) => k !== i)) : go(/** @type {number[]} */ (poses.parse(view))),
-  }, String(i + 1))));
-}
-get('bookmark').addEventListener('click', () => {
-  const here = poses.text(pose);
-  if (!bookmarks().includes(here)) keepBookmarks([...bookmarks(), here]);
-});
-
 /** The command that predicts this view. */
 function command() {
   const pictureOf = output === 'range' ? '' : ` --png-of ${output}`;
@@ -613,7 +563,7 @@ function wire() {
   }
   get('make-view').onclick = () => step('generate', { pose });
   get('make-model').onclick = () => step('generate', { pose: null });
-  showBookmarks();
+  views.start(state.scene, () => pose, go);
   get('m-pixel-box').hidden = state.sensor.pixel_sigma > 0;
   new ResizeObserver(() => { picture.fit(); drawLines(); }).observe(stage);
 }
@@ -629,8 +579,7 @@ panel.empty();
 await guarded(async () => {
   state = await send('state');
   pose = state.pose;
-  const asked = poses.parse(poseInAddress);
-  if (asked?.length === 6) pose = asked;
+  pose = views.asked() ?? pose;
   if (state.measured) measured = await send('measured');
   get('measured').hidden = !measured;
   wire();
