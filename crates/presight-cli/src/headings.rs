@@ -175,7 +175,7 @@ fn heading_of(command: &str, flag: &str) -> Option<&'static Heading> {
     named(&own).or_else(|| named(flag))
 }
 
-/// The command with its flags, and those of its subcommands, under headings. `-h` shows the common flags.
+/// The command with its flags under headings, and its subcommands with theirs. `-h` shows the common flags.
 pub fn under_headings(command: Command) -> Command {
     arranged(command, "presight")
 }
@@ -205,7 +205,7 @@ mod tests {
     use crate::command;
     use std::collections::{BTreeMap, BTreeSet};
 
-    /// Flags that a reader takes in at a glance under one heading.
+    /// Maximum number of flags under one heading.
     const MAX_FLAGS: usize = 15;
 
     /// Visits every command with its path.

@@ -81,7 +81,7 @@ pub fn far_outside(bounds: &Aabb, position: DVec3) -> Option<String> {
     })
 }
 
-/// The notice on poses of which some are farther outside of the model than the model is large.
+/// The notice on a list of poses, if one is farther outside of the model than the model is large.
 pub fn poses_far_outside(bounds: &Aabb, positions: impl IntoIterator<Item = DVec3>) -> Option<String> {
     let (mut count, mut first, mut notice) = (0, None, None);
     for (index, position) in positions.into_iter().enumerate() {
@@ -100,10 +100,10 @@ pub fn poses_far_outside(bounds: &Aabb, positions: impl IntoIterator<Item = DVec
 /// Multiples of 15 degrees in a turn.
 const TWENTY_FOURTHS: i32 = 24;
 
-/// A notice on angles in degrees that are likely in radians: none is larger than a turn in radians, and one is a multiple
-/// of 15 degrees in radians, rounded to three decimals or more, or of 90 degrees to two. 24 of the 6,283 numbers of three
-/// decimals below a turn are such multiples, and 4 of the 628 of two: of angles in degrees that small, 1 in 157 is taken
-/// for radians. Whole numbers never are.
+/// A notice on angles in degrees that are likely in radians: no angle is larger than a turn in radians, and one is a
+/// multiple of 15 degrees in radians, rounded to three decimals or more, or of 90 degrees to two. 24 of the 6,283
+/// numbers of three decimals below a turn are such multiples, and 4 of the 628 of two: of angles in degrees that small,
+/// 1 in 157 is taken for radians. A whole number is never taken for radians.
 pub fn radians(degrees: &[f64]) -> Option<String> {
     if degrees.iter().any(|angle| angle.abs() > std::f64::consts::TAU + 1e-3) {
         return None;
@@ -151,20 +151,20 @@ fn ends(angles: &Angles) -> Vec<f64> {
     }
 }
 
-/// Share of readings at exactly the maximum range that stands for no detection. A driver that rounds ranges to a part of
-/// 1 / 1000 of its reach gives it to 1 reading in 1000 by chance, so that this share is 50 times that.
+/// Share of readings at exactly the maximum range that means "no detection". A driver that rounds ranges to a
+/// thousandth of its reach gives it to 1 reading in 1000 by chance: a fiftieth of this share.
 const MAX_AT_REACH: f64 = 0.05;
 
 /// Minimum number of readings for this notice: the chance that one in 20 is at the reach is then below 1e-9.
 const MIN_READINGS: u64 = 100;
 
-/// A notice on readings at exactly the maximum range: some drivers write it where nothing is within reach.
+/// A notice on readings at exactly the maximum range: some drivers write it for rays without a detection.
 pub fn at_reach(count: u64, all: u64, range_max: f64) -> Option<String> {
     let is_much = all >= MIN_READINGS && count as f64 > MAX_AT_REACH * all as f64;
     is_much.then(|| {
         format!(
-            "{count} of {all} readings are exactly range_max, {range_max} m: if the driver writes it where nothing is within \
-             reach, write inf for them, or lower range_max"
+            "{count} of {all} readings are exactly range_max, {range_max} m: if the driver writes it for rays without \
+             a detection, write inf for them, or lower range_max"
         )
     })
 }
@@ -193,7 +193,7 @@ impl Speeds {
         }
     }
 
-    /// The notice, if the robot moves that fast in most frames; one jump is none.
+    /// The notice, if the robot moves that fast in most frames; a single jump gives no notice.
     pub fn notice(&self, of: &str) -> Option<String> {
         let is_most = self.fast >= MIN_FRAMES && 2 * self.fast > self.moving;
         is_most.then(|| {

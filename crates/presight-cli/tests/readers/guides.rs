@@ -173,7 +173,7 @@ fn subcommands(help: &str) -> Vec<String> {
 /// Pages whose commands another test runs, or that hold no commands of this repository's own.
 const ELSEWHERE: [&str; 3] = ["tour.md", "first-hour.md", "ros.md"];
 
-/// Maximum number of blocks with a mark: those that build, that serve, or whose files come from manufacturers.
+/// Maximum number of blocks with a mark: builds, servers, and files of manufacturers.
 const MAX_NOT_RUN: usize = 6;
 
 #[test]

@@ -327,8 +327,8 @@ impl Frames {
     }
 
     /// Notices on parts that were left out so far, one that counts the readings by their meaning, unless every reading
-    /// is a distance, and others on readings at exactly the maximum range, on times that cannot be seconds and on positions
-    /// that cannot be metres.
+    /// is a distance, and others on readings at exactly the maximum range, on times that cannot be seconds and on
+    /// positions that cannot be metres.
     pub fn notices(&self) -> Vec<String> {
         let mut notices = self.notices.all();
         notices.extend(self.readings.notice());

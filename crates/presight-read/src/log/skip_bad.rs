@@ -13,7 +13,7 @@ const MAX_NAMED: usize = 10;
 /// An item of a log: a frame with its place, or a fault. A fault without a place is not that of a single frame.
 pub(super) type Placed = (Option<String>, Result<Observation>);
 
-/// How the odometry of a frame refers to others.
+/// The reference of a frame's odometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Chain {
     /// To the frame before it in the log: behind a frame that cannot be read the motion is unknown.
@@ -22,8 +22,8 @@ pub(super) enum Chain {
     Stamps,
 }
 
-/// The frames of a log without bad ones. A stamp that falls is decided by the frame behind it: if the log goes on after
-/// the earlier frame, the later one is bad; otherwise the earlier one is. The motion over a frame with a bad stamp is
+/// The frames of a log without bad ones. When a stamp falls, the next frame decides: if it is later than the earlier
+/// frame, the frame that fell is bad; otherwise the earlier frame is bad. The motion over a frame with a bad stamp is
 /// kept, and the motion over an unreadable frame of a [`Chain::Frames`] is unknown.
 pub(super) struct SkipBad<I> {
     items: I,
@@ -97,7 +97,7 @@ impl<I: Iterator<Item = Placed>> SkipBad<I> {
     fn drop_waiting(&mut self, index: usize, before: f64) {
         let Some((place, dropped)) = self.waiting.remove(index) else { return };
         let what = format!(
-            "its time {} s is not between those of its neighbours; {before} s came before",
+            "its time {} s does not fit between its neighbours; the frame before is at {before} s",
             dropped.frame.stamp
         );
         self.leave_out(&place, Error::invalid(what, "sort the frames by time, each once"));

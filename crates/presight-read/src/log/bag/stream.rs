@@ -16,8 +16,8 @@ use std::collections::VecDeque;
 /// fraction of a second; a robot whose `map` to `odom` comes at 1 Hz makes a scanner of 50 Hz wait for 50 frames.
 const MAX_WAITING: usize = 64;
 
-/// Seconds that a stamp may gain on the recorder's clock between two frames: a bag played ten times as fast gains 10 s only
-/// over a gap of 11 s.
+/// Seconds that a stamp may gain on the recorder's clock between two frames: a simulation ten times as fast as the
+/// clock gains 10 s only over a gap of 11 s.
 const MAX_AHEAD_S: f64 = 10.0;
 
 /// Turns messages into frames in the order of their stamps. Memory does not grow with the number of messages.
