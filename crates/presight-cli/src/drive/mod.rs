@@ -24,6 +24,7 @@ use presight::localize::{Estimator, Freedom, Phase, Step};
 use presight::measured::Frame;
 use presight::verdict::Verdicts;
 use presight::{Backend, Error, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads};
+use robot::RobotLog;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -35,7 +36,7 @@ pub struct Drive {
 
     /// The sensors of a robot, the log's first, each with its log; empty to take what the other flags and the log say.
     #[arg(skip)]
-    pub robot: Vec<(PathBuf, Sensor)>,
+    robot: Vec<RobotLog>,
 
     /// The model: a .glb or .gltf file, a .rhai script, or a store
     #[arg(long, value_name = "SCENE")]
@@ -222,7 +223,7 @@ impl Drive {
         files.check_named([self.log.as_path(), self.map.as_path()].into_iter().chain(sensors))?;
         files.check_named(files_of_bag(&self.log).iter().map(PathBuf::as_path))?;
         files.check_named(self.layers.iter().chain(&beside).map(PathBuf::as_path))?;
-        files.check_named(self.robot.iter().map(|(log, _)| log.as_path()))
+        files.check_named(self.robot.iter().map(|sensor| sensor.log.as_path()))
     }
 
     /// Reads the log without following it. Calls `visit` with each frame, and with its pose and message if the log has
@@ -259,11 +260,24 @@ impl Drive {
 
     /// Opens the log with its sensor.
     fn opened(&self) -> Result<LogFrames> {
-        let sensor = match self.robot.first() {
-            Some((_, sensor)) => Some(sensor.clone()),
-            None => self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?,
-        };
-        LogFrames::open_with(&self.log, sensor.as_ref(), &self.odometry()?, &self.bag.options()?)
+        match self.robot.first() {
+            Some(first) => self.opened_of(first),
+            None => self.opened_with(&self.log, self.given_sensor()?.as_ref(), &self.bag),
+        }
+    }
+
+    /// Opens the log of a sensor of the robot.
+    fn opened_of(&self, of: &RobotLog) -> Result<LogFrames> {
+        let sensor = of.sensor.clone().map_or_else(|| self.given_sensor(), |sensor| Ok(Some(sensor)))?;
+        self.opened_with(&of.log, sensor.as_ref(), &self.bag.of_topic(of.topic.clone()))
+    }
+
+    fn opened_with(&self, log: &Path, sensor: Option<&Sensor>, bag: &BagArgs) -> Result<LogFrames> {
+        LogFrames::open_with(log, sensor, &self.odometry()?, &bag.options()?)
+    }
+
+    fn given_sensor(&self) -> Result<Option<Sensor>> {
+        self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()
     }
 
     /// The measurements from --from on and `after` a time, thinned, with the poses of planar documents on the floor.
@@ -388,9 +402,7 @@ impl Drive {
 
     /// Opens the logs of the robot's other sensors.
     fn logs_beside(&self) -> Result<Vec<LogBeside>> {
-        let open = |(path, sensor): &(PathBuf, Sensor)| {
-            Ok(LogBeside { frames: LogFrames::open(path, Some(sensor), &self.odometry()?)?, next: None })
-        };
+        let open = |of: &RobotLog| Ok(LogBeside { frames: self.opened_of(of)?, next: None });
         self.robot.iter().skip(1).map(open).collect()
     }
 
@@ -433,7 +445,12 @@ fn files_of_bag(log: &Path) -> Vec<PathBuf> {
         return Vec::new();
     }
     let entries = std::fs::read_dir(log).into_iter().flatten().flatten().map(|entry| entry.path());
-    entries.filter(|path| path.extension().is_some_and(|e| e == "mcap" || e == "db3")).collect()
+    let is_of_bag = |path: &PathBuf| {
+        let name = path.to_string_lossy();
+        let name = name.trim_end_matches(".zstd");
+        name.ends_with(".mcap") || name.ends_with(".db3")
+    };
+    entries.filter(is_of_bag).collect()
 }
 
 /// Pixels of each verdict of a step that still has its verdict images.

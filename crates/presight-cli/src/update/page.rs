@@ -2,7 +2,7 @@
 //! evidence grew.
 
 use super::looks::look_from;
-use super::{Args, Drive, describe};
+use super::{Args, Drive};
 use glam::DVec3;
 use presight::files::Observation;
 use presight::measured::{Frame, ScanMotion};
@@ -66,7 +66,7 @@ impl Page<'_> {
             vec![Section { title: "All findings and doubts".into(), parts: vec![all], ..Section::default() }];
         for (number, finding) in self.findings.changes.iter().enumerate() {
             let frame = finding.best_view.as_ref().and_then(|view| frames.get(&FrameKey::of_view(view)));
-            let text = describe(finding);
+            let text = finding.to_string();
             let rest = text.split_once(": ").map_or(&*text, |(_, rest)| rest);
             let mut parts = Vec::new();
             if let Some(frame) = frame {
