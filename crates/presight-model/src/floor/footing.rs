@@ -72,7 +72,8 @@ impl Footing {
 
     /// True if the floor covers a convex outline, counter-clockwise relative to the point, in the square of the radius.
     pub fn covers(&self, outline: &[DVec2]) -> bool {
-        self.edge == f64::INFINITY || uncovered(outline, self.parts.iter().map(|part| part.outline.as_slice())).is_empty()
+        self.edge == f64::INFINITY
+            || uncovered(outline, self.parts.iter().map(|part| part.outline.as_slice())).is_empty()
     }
 
     /// True if a part of a surface, given by its corners relative to the point (heights in the world), rises above the
@@ -109,13 +110,14 @@ fn group_at(parts: &[Part], height: f64, step: f64) -> std::ops::Range<usize> {
 /// if there is none within `reach`. Parts that are marked as absent for all sensors do not count.
 pub fn height_below(world: &World, at: DVec3, reach: f64, mobility: &Mobility, found: &mut QueryResult) -> Option<f64> {
     let environment = world.environment();
-    let below = world.polygons_in(&Region::ray(at, DVec3::NEG_Z, reach), None, found).filter_map(|(object, polygon)| {
-        let corners = environment.objects()[object as usize].polygon_in_world(polygon);
-        let corners: Vec<DVec3> = corners.into_iter().map(|c| c - at).collect();
-        mobility.facing(&corners)?;
-        let is_below = distance_from_above(&from_above(&corners), DVec2::ZERO) == 0.0;
-        let height = is_below.then(|| height_at(&corners, DVec2::ZERO))?;
-        (height <= 0.0 && height >= -reach).then_some(at.z + height)
-    });
+    let below =
+        world.polygons_in(&Region::ray(at, DVec3::NEG_Z, reach), None, found).filter_map(|(object, polygon)| {
+            let corners = environment.objects()[object as usize].polygon_in_world(polygon);
+            let corners: Vec<DVec3> = corners.into_iter().map(|c| c - at).collect();
+            mobility.facing(&corners)?;
+            let is_below = distance_from_above(&from_above(&corners), DVec2::ZERO) == 0.0;
+            let height = is_below.then(|| height_at(&corners, DVec2::ZERO))?;
+            (height <= 0.0 && height >= -reach).then_some(at.z + height)
+        });
     below.reduce(f64::max)
 }
