@@ -18,7 +18,8 @@ mv factory.glb hall.glb
 rm corridor.presight
 cp hall.glb hall-2.glb
 presight env create site.presight scenes/room.glb
-presight features hall.glb --class video --min-length 1 --out hall.video.layer.json
+presight features hall.glb --class video --min-length 3 --out hall.video.layer.json
+presight features scenes/room.glb --class video --out edges.json
 
 # Sensors.
 cat > camera.toml <<'TOML'
@@ -66,7 +67,7 @@ line 8 12 18 1 > drive.tum
 line 8 4 0 0.8 > corridor.tum
 head -n 3 corridor.tum > places.tum
 printf '%s 0 -0.5 1.2 0 0 0 1\n' 0 1 2 3 4 > bay.tum
-awk '!/^#/ && n++ % 3 == 0 { $4 = 0.8; print }' scenes/drive.tum > room.tum
+awk '!/^#/ && n++ % 5 == 0 { $4 = 0.8; print }' scenes/drive.tum > room.tum
 
 # Logs: a room that has changed since its model was made, the hall, and the corridor.
 presight env create changed.presight scenes/room.glb
@@ -84,7 +85,7 @@ presight simulate changed.presight --sensor camera.toml --poses room.tum --seed 
 presight simulate changed.presight --sensor rear.toml --poses room.tum --seed 3 --out rear
 presight simulate scenes/room.glb --sensor camera.toml --grey video.toml --poses room.tum --out both
 presight simulate scenes/docking.rhai --sensor scanner.toml --intensities --poses bay.tum --out bay
-presight simulate hall.glb --sensor camera.toml --grey video.toml --poses drive.tum --out run --mcap drive.mcap
+presight simulate hall.glb --sensor camera.toml --poses drive.tum --out run --mcap drive.mcap
 presight simulate corridor.glb --sensor laser-scanner --poses corridor.tum --out scans
 cp scans/scans.jsonl scans.json
 presight predict hall.glb --sensor camera.toml --pose 12,18,1,0,0,0 --points hall.ply

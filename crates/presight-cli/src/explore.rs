@@ -20,7 +20,7 @@ const EXAMPLES: &str = "Examples:
   presight explore wednesday.jsonl --sensor monday/sensor.toml --out rough.presight
   presight explore scans.json --wall-height 2.5 --polygons 200 --out corridor.presight
   presight localize thursday.jsonl --map rough.presight --sensor monday/sensor.toml --init reference \\
-    --out thursday.tum";
+    --out followed.tum";
 
 /// A rough model that leaves this share of the points unexplained may show another place.
 const STRANGE: f64 = 0.8;

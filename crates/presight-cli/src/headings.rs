@@ -166,7 +166,7 @@ const HEADINGS: [Heading; 20] = [
 ];
 
 /// The parts of the help: the examples stand before the flags.
-const TEMPLATE: &str = "{before-help}{about-with-newline}\n{usage-heading} {usage}\n\n{after-help}\n\n{all-args}";
+const TEMPLATE: &str = "{before-help}{about-with-newline}\n{usage-heading} {usage}{after-help}\n\n{all-args}";
 
 /// The heading of a flag of a command.
 fn heading_of(command: &str, flag: &str) -> Option<&'static Heading> {

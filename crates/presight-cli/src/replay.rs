@@ -27,8 +27,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
-  presight replay livingroom --map scenes/room.glb --sensor camera.toml --init reference --out shown
-  presight replay run --map hall.glb --init reference --layer hall.video.layer.json --out seen
+  presight replay livingroom --map scenes/room.glb --sensor camera.toml \\
+    --init reference --out shown
+  presight replay both --map scenes/room.glb --sensor both/sensor.toml --init reference \\
+    --layer edges.json --out seen
   presight replay drive.mcap --map hall.glb --init reference --mcap compared.mcap
   presight replay drive.mcap --map hall.glb --init reference --given --mcap given.mcap";
 

@@ -52,7 +52,7 @@ const EXAMPLES: &str = "Examples:
 
   Depth images along a trajectory as one NumPy array of (poses, rows, columns), and a preview of each:
     presight predict hall.glb --sensor realsense-d435 --poses drive.tum \\
-      --outputs depth_z --npy depth.npy --png 'drive/{i:06}.png'
+      --outputs depth_z --npy depth.npy --png 'depth-{i:06}.png'
 
   Scans along a trajectory as a ROS 2 bag for RViz and Foxglove:
     presight predict hall.glb --sensor laser-scanner --poses drive.tum --mcap drive.mcap

@@ -139,7 +139,8 @@ fn examples_of_help(help: &str) -> Vec<String> {
     let mut open: Option<String> = None;
     for line in help.lines() {
         let word = line.trim_start();
-        let begins = line.starts_with("  ") && (word.starts_with("presight ") || word.starts_with("echo "));
+        let begins = (2..=4).contains(&(line.len() - word.len()))
+            && (word.starts_with("presight ") || word.starts_with("echo "));
         let code = match open.take() {
             Some(before) => format!("{before}\n{line}"),
             None if begins => word.to_owned(),
