@@ -83,8 +83,7 @@ fn sensor_at(
     sensor: &Sensor,
 ) -> Result<Pose> {
     let moved = motion.at(seconds).ok_or_else(|| {
-        let [first, last] = sensor.scan_interval();
-        let what = format!("a motion that does not reach from {first} s to {last} s after the stamp");
+        let what = format!("a motion that does not reach {seconds:.6} s after the stamp");
         Error::invalid(what, "give poses from before the first ray until after the last")
     })?;
     if moved == Pose::IDENTITY {
