@@ -26,6 +26,12 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+#[cfg(feature = "store")]
+mod findings;
+
+#[cfg(feature = "store")]
+pub use findings::findings;
+
 use presight_localize::localize::{Phase, Step};
 use presight_localize::verdict::{Verdict, Verdicts};
 use presight_model::error::Result;

@@ -6,6 +6,7 @@
 
 mod arrays;
 mod errors;
+mod learner;
 mod many;
 mod measured;
 mod messages;
@@ -70,7 +71,7 @@ fn _batch_seconds(
 
 #[pymodule(gil_used = false)]
 mod _presight {
-    use super::{errors, many, measured, messages, prediction, predictor, scene, sensor};
+    use super::{errors, learner, many, measured, messages, prediction, predictor, scene, sensor};
     use pyo3::prelude::*;
 
     #[pymodule_export]
@@ -79,6 +80,8 @@ mod _presight {
     use super::_command;
     #[pymodule_export]
     use super::_panic;
+    #[pymodule_export]
+    use learner::Learner;
     #[pymodule_export]
     use many::Chunks;
     #[pymodule_export]

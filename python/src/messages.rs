@@ -2,6 +2,7 @@
 
 use super::arrays::{array, pose_numbers, pose_of};
 use super::errors::{Failed, apart, usage, warn};
+use super::learner::Learner;
 use super::measured::{Frame, Step};
 use super::prediction::Prediction;
 use super::predictor::Predictor;
@@ -10,7 +11,7 @@ use super::sensor::sensor_of;
 use presight::Error;
 use presight::files::BagOptions;
 use presight::measured::OdometryNoise;
-use presight::ros::{LiveFrames, MessageOrigin, Record, Topic, answers, comparison, initial_pose, model};
+use presight::ros::{LiveFrames, MessageOrigin, Record, Topic, answers, comparison, findings, initial_pose, model};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use std::path::Path;
@@ -100,7 +101,7 @@ impl Messages {
         let sensor = sensor.map(sensor_of).transpose()?;
         let mount = mount.map(|given| pose_of(given, "mount")).transpose()?;
         let options = BagOptions::default().with_base(base).with_mount(mount).with_reflector(reflector);
-        let live = LiveFrames::new(options, sensor, OdometryNoise::default());
+        let live = LiveFrames::new(options, sensor, OdometryNoise::default(), map);
         Ok(Self { map: map.to_owned(), state: Mutex::new(State { live, origin: None }) })
     }
 
@@ -181,10 +182,21 @@ impl Messages {
         Ok(sent(py, vec![record]))
     }
 
-    /// The pose and the covariance of a `geometry_msgs/msg/PoseWithCovarianceStamped`: (7,) and (6, 6).
+    /// What a learner found so far, as markers.
+    fn findings<'py>(&self, py: Python<'py>, learner: &Bound<'_, Learner>) -> PyResult<Vec<Sent<'py>>> {
+        let learner = learner.get();
+        let record = apart(py, || {
+            let (found, environment) = learner.found()?;
+            Ok(findings(&found, environment, &self.origin()?))
+        })?;
+        Ok(sent(py, vec![record]))
+    }
+
+    /// The pose and the covariance of a `geometry_msgs/msg/PoseWithCovarianceStamped`: (7,) and (6, 6). Raises `Error` for a pose in
+    /// another frame than `map`.
     fn initial_pose<'py>(&self, py: Python<'py>, data: &[u8]) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let data = data.to_vec();
-        let estimate = apart(py, || Ok(initial_pose(&data)?))?;
+        let estimate = apart(py, || Ok(initial_pose(&data, &self.map)?))?;
         let covariance = estimate.covariance.as_rows().as_flattened().to_vec();
         Ok((array(py, pose_numbers(&estimate.world_from_robot).to_vec(), &[7])?, array(py, covariance, &[6, 6])?))
     }

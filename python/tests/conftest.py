@@ -19,6 +19,10 @@ def skip(reason):
     """Skips a test, or fails where nothing may be skipped (as the Rust tests do)."""
     if os.environ.get("CI") or os.environ.get("PRESIGHT_REQUIRE_DATA") == "1":
         pytest.fail(f"nothing may be skipped here: {reason}")
+    if counted := os.environ.get("PRESIGHT_SKIPPED"):
+        name = os.environ.get("PYTEST_CURRENT_TEST", "python").split(" ")[0]
+        with open(counted, "a") as file:
+            print(name, str(reason).splitlines()[0], sep="\t", file=file)
     pytest.skip(reason)
 
 

@@ -368,7 +368,7 @@ pub fn messages(bytes: &[u8]) -> bool {
         _ => again!(MarkerArray),
     };
     let Some(message_type) = found else { return false };
-    let mut live = log::bag::LiveFrames::new(log::BagOptions::default(), None, Default::default());
+    let mut live = log::bag::LiveFrames::new(log::BagOptions::default(), None, Default::default(), "map");
     for (name, message_type) in [("/tf_static", message_type), ("/tf", message_type), ("/scan", message_type)] {
         let topic =
             presight_ros::Topic { name: name.into(), message_type: message_type.into(), encoding: "cdr".into() };

@@ -5,7 +5,7 @@ use super::output_bag::OutputBag;
 use super::print;
 use glam::DVec3;
 use presight::localize::{FeatureFindings, Step};
-use presight::ros::{MarkerKind, MessageOrigin, Record, SceneMarker, comparison, measured, model, sensed};
+use presight::ros::{MessageOrigin, Record, SceneMarker, comparison, measured, model, sensed};
 use presight::verdict::Verdicts;
 use presight::{Backend, Options, PoseEstimate, Predictor, Result, Scene, Threads};
 
@@ -16,9 +16,6 @@ pub struct ComparedBag {
     /// The last frame, for messages about the whole drive.
     last: Option<MessageOrigin>,
 }
-
-/// Width of lines, metres: visible from across a hall, and narrower than what scanners resolve there.
-const LINE: f64 = 0.02;
 
 impl ComparedBag {
     /// Compares on this number of threads; 0 means all cores.
@@ -122,7 +119,7 @@ fn features(found: &FeatureFindings, origin: &MessageOrigin) -> Record {
     let markers = COLORS.map(|(class, color)| {
         let of_class = found.features.iter().filter(|feature| feature.class.name() == class);
         let lines = of_class.flat_map(|feature| outline(&feature.points_world));
-        lines_of(format!("features: {class}"), color, lines)
+        SceneMarker::lines(format!("features: {class}"), color, lines.map(|p| p.to_array()))
     });
     origin.markers("/presight/features", &origin.map, markers.into_iter().filter(|marker| !marker.points.is_empty()))
 }
@@ -131,15 +128,8 @@ fn features(found: &FeatureFindings, origin: &MessageOrigin) -> Record {
 fn outline(points: &[DVec3]) -> Vec<DVec3> {
     match points {
         [] => Vec::new(),
-        [only] => vec![*only - DVec3::Z * LINE, *only + DVec3::Z * LINE],
+        [only] => [-1.0, 1.0].map(|side| *only + DVec3::Z * side * SceneMarker::LINE_M).to_vec(),
         [a, b] => vec![*a, *b],
         [first, ..] => points.windows(2).flatten().copied().chain([points[points.len() - 1], *first]).collect(),
     }
-}
-
-/// Lines between points 0 and 1, 2 and 3, ...
-pub fn lines_of(namespace: String, color: [f32; 4], points: impl IntoIterator<Item = DVec3>) -> SceneMarker {
-    let mut marker = SceneMarker::new(MarkerKind::LineList, namespace, color);
-    (marker.scale, marker.points) = ([LINE; 3], points.into_iter().map(|p| p.to_array()).collect());
-    marker
 }

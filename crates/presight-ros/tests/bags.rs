@@ -28,6 +28,38 @@ fn scans_of_every_container_are_the_same() {
     assert!(scans.iter().all(|s| text(s) == text(&scans[0])));
 }
 
+/// Recorders compress files as a whole by `--compression-mode file`: the same messages, and nothing beside the bag.
+#[test]
+fn compressed_files_hold_the_same() {
+    let scans = |bag: &Bag| -> Vec<Vec<u8>> {
+        bag.messages(|topic| topic.name == "/scan").map(|message| message.unwrap().data).collect()
+    };
+    for name in ["malaga_humble", "malaga_split"] {
+        let Some(bag) = bag(name) else { return };
+        let folder = tempfile::tempdir().unwrap();
+        let mut metadata = std::fs::read_to_string(bag.path().join("metadata.yaml")).unwrap();
+        for file in bag.files() {
+            let name = file.file_name().unwrap().to_string_lossy().into_owned();
+            let packed = zstd::encode_all(std::fs::File::open(file).unwrap(), 3).unwrap();
+            std::fs::write(folder.path().join(format!("{name}.zstd")), packed).unwrap();
+            metadata = metadata.replace(&name, &format!("{name}.zstd"));
+        }
+        let count = || std::fs::read_dir(folder.path()).unwrap().count();
+        for metadata in [Some(&metadata), None] {
+            let path = folder.path().join("metadata.yaml");
+            metadata.map_or_else(|| std::fs::remove_file(&path), |text| std::fs::write(&path, text)).unwrap();
+            let (before, expected) = (count(), scans(&bag));
+            assert_eq!(expected.len(), 37);
+            assert!(Bag::is_bag(folder.path()));
+            assert_eq!(scans(&Bag::open(folder.path()).unwrap()), expected, "{name}");
+            assert_eq!(count(), before);
+        }
+        let [first, ..] = bag.files() else { panic!() };
+        let packed = folder.path().join(format!("{}.zstd", first.file_name().unwrap().to_string_lossy()));
+        assert!(Bag::is_bag(&packed) && !scans(&Bag::open(&packed).unwrap()).is_empty());
+    }
+}
+
 #[test]
 fn a_cut_file_is_read_to_its_last_whole_chunk() {
     let Some(bag) = bag("cut_in_mid_chunk.mcap") else { return };

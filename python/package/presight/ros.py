@@ -1,14 +1,16 @@
-"""A ROS 2 node: the robot's pose in a model, and what each scan should have been.
+"""A ROS 2 node: the robot's pose in a model, what each measurement should have been, and what has changed.
 
     python -m presight.ros --map hall.glb --topic /scan --init unknown
 
 It runs on the rclpy of the user's ROS. It publishes `map` to `odom` on /tf, /presight/pose, /diagnostics, /presight/predicted,
-/presight/verdict and the latched /presight/model, and starts anew at a pose on /initialpose, as RViz sends it.
+/presight/verdict, the latched /presight/model, and with --update /presight/findings. A pose on /initialpose, as RViz sends it, starts
+it anew.
 """
 
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import threading
 import time
@@ -17,19 +19,21 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
-import numpy as np
-
 import presight
+from presight._follower import Follower, numbers
 
 SCAN, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
+IMAGE, PACKED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
+MEASURED = (SCAN, CLOUD, IMAGE, PACKED)
 TF, ODOMETRY = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
-POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+POSE, MARKERS = "geometry_msgs/msg/PoseWithCovarianceStamped", "visualization_msgs/msg/MarkerArray"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 
 def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(prog="python -m presight.ros", description="Follow a robot in a model, from its ROS 2 topics.")
     p.add_argument("--map", required=True, metavar="SCENE", help="the model: a .glb or .gltf file, a script, or a store")
-    p.add_argument("--topic", default="/scan", help="LaserScan or PointCloud2 [default: /scan]")
+    p.add_argument("--topic", default="/scan", help="LaserScan, PointCloud2 or depth image [default: /scan]")
     p.add_argument("--init", default="unknown", metavar="POSE", help="x,y,z,roll_deg,pitch_deg,yaw_deg, or unknown [default]")
     p.add_argument("--init-sigma", type=float, default=0.05, metavar="METRES")
     p.add_argument("--init-sigma-deg", type=float, default=2.0, metavar="DEG")
@@ -41,19 +45,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--odometry", metavar="TOPIC", help="a topic of nav_msgs/Odometry, where /tf has no odometry")
     p.add_argument("--frame", default="map", help="frame of the model [default: map]")
     p.add_argument("--tolerance", type=float, default=0.1, metavar="S", help="the transform is stamped ahead by this time")
+    p.add_argument("--update", metavar="DIR", help="learn what has changed: DIR/changes.jsonl for `presight env apply`")
     p.add_argument("--threads", type=int, default=0, metavar="N", help="CPU threads, 0 = all cores")
     return p
-
-
-def numbers(text: str, flag: str) -> list[float]:
-    """A pose of a flag."""
-    try:
-        pose = [float(number) for number in text.split(",")]
-    except ValueError:
-        pose = []
-    if len(pose) not in (6, 7):
-        raise SystemExit(f"presight.ros: {flag} {text}: not a pose; give x,y,z,roll_deg,pitch_deg,yaw_deg")
-    return pose
 
 
 def type_of(name: str) -> Any:
@@ -62,157 +56,133 @@ def type_of(name: str) -> Any:
     return getattr(import_module(f"{package}.msg"), message)
 
 
-class Follower:
-    """Follows the robot in a thread: of the scans that come while one is matched, the newest waits. Knows no rclpy."""
+class Node:
+    """Publishers and subscriptions of bytes on the user's rclpy."""
 
-    def __init__(self, args: argparse.Namespace, publish: Callable[[str, str, bool, bytes], None], say: Callable[[str], None]):
-        self.args, self.publish, self.say = args, publish, say
-        self.scene = presight.Scene.open(args.map)
-        self.predictor = presight.Predictor(backend="cpu", threads=args.threads)
-        self.sensor = presight.Sensor.load(args.sensor) if args.sensor else None
-        self.changed, self.ended, self.count = threading.Condition(), False, 0
-        self.pose: Any = None
-        self.said: set[str] = set()
-        init = None if args.init == "unknown" else numbers(args.init, "--init")
-        self.restart(init, args.init_sigma, args.init_sigma_deg)
-        for message in self.messages.model(self.scene):
-            publish(*message)
-        self.thread = threading.Thread(target=self.work, daemon=True)
-        self.thread.start()
+    def __init__(self, given: list[str], rclpy: Any):
+        self.rclpy, self.stop = rclpy, threading.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self.end)
+        from rclpy.signals import SignalHandlerOptions  # type: ignore[import-not-found]
 
-    def restart(self, init: Any, sigma: float, sigma_deg: float) -> None:
-        """Starts anew; the measurements so far are forgotten, the transforms of the robot are kept."""
-        a = self.args
-        mount = numbers(a.mount, "--mount") if a.mount else None
-        with self.changed:
-            if not hasattr(self, "messages"):
-                self.messages = presight.Messages(a.frame, base=a.base, sensor=self.sensor, mount=mount)
-            self.localizer = presight.Localizer(
-                self.scene,
-                init=init,
-                init_sigma=sigma,
-                init_sigma_deg=sigma_deg,
-                model_sigma=a.model_sigma,
-                floor=a.floor,
-                threads=a.threads,
-            )
+        # rclpy's own handlers would close the publishers before the last measurement is answered.
+        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = rclpy.create_node("presight")
+        self.executor = rclpy.executors.SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.publishers: dict[str, Any] = {}
 
-    def warn_once(self, text: str) -> None:
-        if text not in self.said:
-            self.said.add(text)
-            self.say(text)
+    def end(self, number: int, _: Any) -> None:
+        """Ends the node after this round; a second signal ends it at once."""
+        self.stop.set()
+        signal.signal(number, signal.SIG_DFL)
 
-    def add(self, topic: str, kind: str, data: bytes) -> None:
-        """A message of a subscription."""
+    def say(self, text: str) -> None:
+        self.node.get_logger().info(text)
+
+    def advertise(self, topic: str, kind: str, latched: bool = False) -> None:
+        """Makes a publisher. Subscribers find it before its first message, which they would otherwise miss."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile  # type: ignore[import-not-found]
+
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
         try:
-            with warnings.catch_warnings(record=True) as notices:
-                warnings.simplefilter("always")
-                self.messages.add(topic, kind, data)
-            for notice in notices:
-                self.warn_once(str(notice.message))
-        except presight.Error as e:
-            self.warn_once(f"{topic} is left out: {e}")
-            if topic == self.args.topic and "is not after" in str(e):  # the clock has jumped back
-                self.restart(self.pose, self.args.init_sigma, self.args.init_sigma_deg)
-        with self.changed:
-            self.changed.notify()
+            qos = QoSProfile(depth=1 if latched else 10, durability=durability)
+            self.publishers[topic] = self.node.create_publisher(type_of(kind), topic, qos)
+        except (ModuleNotFoundError, AttributeError):
+            self.say(f"{topic} is not published: the package of {kind} is not installed")
+            self.publishers[topic] = None
 
-    def initial_pose(self, data: bytes) -> None:
-        """A pose of RViz: the localizer starts there, as wide as its covariance."""
+    def publish(self, topic: str, kind: str, latched: bool, data: bytes) -> None:
+        if topic not in self.publishers:
+            self.advertise(topic, kind, latched)
+        if (publisher := self.publishers[topic]) is not None:
+            publisher.publish(data)
+
+    def subscribe(self, topic: str, kind: str, take: Callable[[bytes], None], depth: int, *, latched: bool = False) -> str:
+        """Subscribes as reliably as all publishers of now offer, and returns the words for it."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        offers = self.node.get_publishers_info_by_topic(topic)
+        reliable = all(offer.qos_profile.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
+        qos = QoSProfile(
+            depth=depth,
+            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        )
         try:
-            pose, covariance = self.messages.initial_pose(data)
-        except presight.Error as e:
-            return self.say(f"/initialpose is left out: {e}")
-        sigmas = np.sqrt(np.diagonal(covariance))
-        # RViz writes zeros for height, roll and pitch.
-        spread, turn = max(float(sigmas[:3].max()), 1e-3), max(float(np.degrees(sigmas[3:].max())), 0.1)
-        self.restart(pose, spread, turn)
-        self.say(f"started anew at {np.round(pose[:3], 3).tolist()}, known to {spread:.2f} m and {turn:.0f} degrees")
-        return None
+            self.node.create_subscription(type_of(kind), topic, take, qos, raw=True)
+        except (ModuleNotFoundError, AttributeError):
+            self.say(f"{topic} is not read: the package of {kind} is not installed")
+        return "reliable" if reliable else "best effort"
 
-    def work(self) -> None:
-        while True:
-            with self.changed:
-                frame = self.messages.frame()
-                while not self.ended and frame is None:
-                    self.changed.wait(timeout=1.0)
-                    frame = self.messages.frame()
-                if self.ended or frame is None:
-                    return
-                localizer = self.localizer
-            try:
-                step = localizer.step(frame)
-                self.count += 1
-                self.pose = step.pose if step.is_known else None
-                for message in self.messages.answers(step, ahead=self.args.tolerance):
-                    self.publish(*message)
-                for message in self.messages.comparison(self.predictor, self.scene, frame, step):
-                    self.publish(*message)
-            except (presight.Error, presight.DeviceError, presight.SystemFault) as e:
-                self.warn_once(f"the scan at {frame.time:.3f} s is left out: {e}")
+    def type_offered(self, topic: str) -> str | None:
+        """The type of the topic, once somebody publishes it; None after a signal. A type that is no measurement raises Error."""
+        waits_from = time.monotonic()
+        while not (offers := self.node.get_publishers_info_by_topic(topic)):
+            if self.stop.is_set():
+                return None
+            self.executor.spin_once(timeout_sec=0.2)
+            if time.monotonic() - waits_from > 5.0:
+                found = sorted(name for name, kinds in self.node.get_topic_names_and_types() if set(MEASURED) & set(kinds))
+                say = f"nobody publishes {topic} yet; scans, clouds and images are on: {', '.join(found) or 'no topic'}; waiting"
+                self.say(say)
+                waits_from = float("inf")
+        kinds = sorted({offer.topic_type for offer in offers})
+        if len(kinds) > 1 or kinds[0] not in MEASURED:
+            remedy = "give --topic with a LaserScan, a PointCloud2 or a depth image"
+            raise presight.Error(f"{topic} is of type {' and '.join(kinds)}; {remedy}")
+        return kinds[0]
 
-    def end(self) -> None:
-        with self.changed:
-            self.ended = True
-            self.changed.notify()
-        self.thread.join()
-        self.say(f"{self.count} scans were matched, {self.messages.left_out} left out because a newer one came")
-        for line in self.localizer.warnings:
-            self.say(line)
+    def spin(self) -> None:
+        while not self.stop.is_set():
+            self.executor.spin_once(timeout_sec=0.2)
+
+
+def connect(node: Node, follower: Follower, args: argparse.Namespace, kind: str) -> None:
+    """Subscribes to all that the follower needs."""
+
+    def take(topic: str, kind: str, depth: int, latched: bool = False) -> str:
+        return node.subscribe(topic, kind, lambda data: follower.add(topic, kind, data), depth, latched=latched)
+
+    take("/tf_static", TF, 100, latched=True)
+    take("/tf", TF, 100)
+    if args.odometry:
+        take(args.odometry, ODOMETRY, 100)
+    if kind in (IMAGE, PACKED):
+        take(args.topic.removesuffix("/compressedDepth").rpartition("/")[0] + "/camera_info", INFO, 5)
+    node.subscribe("/initialpose", POSE, follower.initial_pose, 1)
+    reliability = take(args.topic, kind, 5)
+    node.say(f"reading {args.topic} ({kind}, {reliability})")
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the node until Ctrl-C."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     args = parser().parse_args(given[: given.index("--ros-args")] if "--ros-args" in given else given)
+    for flag, pose in (("--init", args.init if args.init != "unknown" else None), ("--mount", args.mount)):
+        if pose is not None:
+            numbers(pose, flag)
     try:
-        import rclpy  # type: ignore[import-not-found]
-        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # type: ignore[import-not-found]
+        import rclpy
+        import rclpy.executors  # type: ignore[import-not-found]
     except ImportError:
         print("presight.ros: there is no rclpy; source the setup of your ROS 2 in this shell", file=sys.stderr)
         return 3
-    rclpy.init(args=given)
-    node = rclpy.create_node("presight")
-    say, publishers, lock = node.get_logger().info, {}, threading.Lock()
-
-    def publish(topic: str, kind: str, latched: bool, data: bytes) -> None:
-        with lock:
-            if topic not in publishers:
-                durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-                try:
-                    qos = QoSProfile(depth=10, durability=durability)
-                    publishers[topic] = node.create_publisher(type_of(kind), topic, qos)
-                except (ModuleNotFoundError, AttributeError):
-                    say(f"{topic} is not published: the package of {kind} is not installed")
-                    publishers[topic] = None
-            if (publisher := publishers[topic]) is not None:
-                publisher.publish(data)
-
-    def subscribe(topic: str, kind: str, take: Callable[[bytes], None], qos: Any) -> None:
-        try:
-            node.create_subscription(type_of(kind), topic, take, qos, raw=True)
-        except (ModuleNotFoundError, AttributeError):
-            say(f"{topic} is not read: the package of {kind} is not installed")
-
-    follower = None
+    node, follower = Node(given, rclpy), None
     try:
-        offers = offered(node, args.topic, say)
-        follower = Follower(args, publish, say)
-        static = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        subscribe("/tf_static", TF, lambda data: follower.add("/tf_static", TF, data), static)
-        subscribe("/tf", TF, lambda data: follower.add("/tf", TF, data), QoSProfile(depth=100))
-        if args.odometry:
-            best = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-            subscribe(args.odometry, ODOMETRY, lambda data: follower.add(args.odometry, ODOMETRY, data), best)
-        subscribe("/initialpose", POSE, follower.initial_pose, QoSProfile(depth=1))
-        kind = offers[0].topic_type
-        reliable = all(offer.qos_profile.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
-        reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        subscribe(args.topic, kind, lambda data: follower.add(args.topic, kind, data), QoSProfile(depth=5, reliability=reliability))
-        say(f"reading {args.topic} ({kind}, {'reliable' if reliable else 'best effort'})")
-        rclpy.spin(node)
-    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-        pass
+        if (kind := node.type_offered(args.topic)) is not None:
+            topics = {"/tf": TF, "/presight/pose": POSE, "/diagnostics": DIAGNOSTICS}
+            if kind in (SCAN, CLOUD):
+                topics |= {"/presight/predicted": kind, "/presight/verdict": CLOUD}
+            if kind == SCAN:
+                topics["/presight/predicted/points"] = CLOUD
+            for topic, published in topics.items():
+                node.advertise(topic, published)
+            follower = Follower(args, node.publish, node.say)
+            warnings.simplefilter("always", presight.Notice)
+            warnings.showwarning = lambda message, *_: follower.warn_once(str(message))
+            connect(node, follower, args, kind)
+            node.spin()
     except (presight.Error, presight.DeviceError, presight.SystemFault) as e:
         print(f"presight.ros: {e}", file=sys.stderr)
         return 1
@@ -221,22 +191,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
             follower.end()
         rclpy.try_shutdown()
     return 0
-
-
-def offered(node: Any, topic: str, say: Callable[[str], None]) -> list[Any]:
-    """The publishers of the topic, once there are some. A type that is no scan raises Error."""
-    import rclpy
-
-    waits_from = time.monotonic()
-    while not (offers := node.get_publishers_info_by_topic(topic)):
-        rclpy.spin_once(node, timeout_sec=0.2)
-        if time.monotonic() - waits_from > 5.0:
-            known = sorted(name for name, kinds in node.get_topic_names_and_types() if {SCAN, CLOUD} & set(kinds))
-            say(f"nobody publishes {topic} yet; scans and clouds are on: {', '.join(known) or 'no topic'}; waiting")
-            waits_from = float("inf")
-    if offers[0].topic_type not in (SCAN, CLOUD):
-        raise presight.Error(f"{topic} is of type {offers[0].topic_type}; give --topic with a LaserScan or a PointCloud2")
-    return list(offers)
 
 
 if __name__ == "__main__":

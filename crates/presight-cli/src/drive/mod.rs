@@ -8,7 +8,7 @@ mod start;
 
 pub use features::FeatureCounts;
 
-use super::bag_args::BagArgs;
+use super::bag_args::LogArgs;
 use super::outputs::OutputFiles;
 use super::resume::Resumed;
 use super::sensor_args::SensorArgs;
@@ -24,6 +24,7 @@ use presight::localize::{Estimator, Freedom, Phase, Step};
 use presight::measured::Frame;
 use presight::verdict::Verdicts;
 use presight::{Backend, Error, Options, Pose, Predictor, Result, RobotPose, Scene, Sensor, Threads};
+use robot::RobotLog;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -35,7 +36,7 @@ pub struct Drive {
 
     /// The sensors of a robot, the log's first, each with its log; empty to take what the other flags and the log say.
     #[arg(skip)]
-    pub robot: Vec<(PathBuf, Sensor)>,
+    robot: Vec<RobotLog>,
 
     /// The model: a .glb or .gltf file, a .rhai script, or a store
     #[arg(long, value_name = "SCENE")]
@@ -67,7 +68,7 @@ pub struct Drive {
     image: SensorArgs,
 
     #[command(flatten)]
-    bag: BagArgs,
+    logs: LogArgs,
 
     /// Options of the estimate: of a level scanner of one row on a level floor, of a sensor in any pose, or of scans of
     /// full panoramas of points [default: by the sensor]
@@ -222,11 +223,11 @@ impl Drive {
         files.check_named([self.log.as_path(), self.map.as_path()].into_iter().chain(sensors))?;
         files.check_named(files_of_bag(&self.log).iter().map(PathBuf::as_path))?;
         files.check_named(self.layers.iter().chain(&beside).map(PathBuf::as_path))?;
-        files.check_named(self.robot.iter().map(|(log, _)| log.as_path()))
+        files.check_named(self.robot.iter().map(|sensor| sensor.log.as_path()))
     }
 
     /// Reads the log without following it. Calls `visit` with each frame, and with its pose and message if the log has
-    /// them. The motion during scans is that of a trajectory, if one is given.
+    /// them. The motion during scans is that of a trajectory, if one is given. Prints the notices of the log.
     ///
     /// # Errors
     /// Errors from reading the log, map and sensor, and from `visit`.
@@ -235,8 +236,24 @@ impl Drive {
         &self,
         scene: &Scene,
         trajectory: Option<&[StampedPose]>,
-        mut visit: impl FnMut(&Scene, &Observation) -> Result<()>,
+        visit: impl FnMut(&Scene, &Observation) -> Result<()>,
     ) -> Result<()> {
+        let log = self.read_again(scene, trajectory, visit)?;
+        self.print_notices(&log);
+        Ok(())
+    }
+
+    /// As [`Drive::read`], for a log that was read before: its notices have been printed.
+    ///
+    /// # Errors
+    /// As [`Drive::read`].
+    #[cfg(any(feature = "ros", feature = "store"))]
+    pub fn read_again(
+        &self,
+        scene: &Scene,
+        trajectory: Option<&[StampedPose]>,
+        mut visit: impl FnMut(&Scene, &Observation) -> Result<()>,
+    ) -> Result<LogFrames> {
         self.check()?;
         let mut log = self.opened()?;
         if let Some(poses) = trajectory {
@@ -245,10 +262,7 @@ impl Drive {
         for observation in self.observations(&mut log, None) {
             visit(scene, &observation?)?;
         }
-        if trajectory.is_some() {
-            self.print_notices(&log);
-        }
-        Ok(())
+        Ok(log)
     }
 
     /// Prints how the readings of the log were interpreted, and which times or motions of its scans are unknown.
@@ -259,11 +273,20 @@ impl Drive {
 
     /// Opens the log with its sensor.
     fn opened(&self) -> Result<LogFrames> {
-        let sensor = match self.robot.first() {
-            Some((_, sensor)) => Some(sensor.clone()),
-            None => self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()?,
-        };
-        LogFrames::open_with(&self.log, sensor.as_ref(), &self.odometry()?, &self.bag.options()?)
+        match self.robot.first() {
+            Some(first) => self.opened_of(first),
+            None => self.logs.open(&self.log, self.given_sensor()?.as_ref(), &self.odometry()?),
+        }
+    }
+
+    /// Opens the log of a sensor of the robot.
+    fn opened_of(&self, of: &RobotLog) -> Result<LogFrames> {
+        let sensor = of.sensor.clone().map_or_else(|| self.given_sensor(), |sensor| Ok(Some(sensor)))?;
+        self.logs.of_topic(of.topic.clone()).open(&of.log, sensor.as_ref(), &self.odometry()?)
+    }
+
+    fn given_sensor(&self) -> Result<Option<Sensor>> {
+        self.sensor.as_deref().map(|sensor| self.image.load(sensor)).transpose()
     }
 
     /// The measurements from --from on and `after` a time, thinned, with the poses of planar documents on the floor.
@@ -315,6 +338,7 @@ impl Drive {
         let threads = Threads::from(self.threads).started()?;
         let (start, options) = (self.start(&first)?, self.options(first.frame.sensor()));
         let scene = self.scene()?;
+        print::far_outside(&scene, start.iter().map(|robot| robot.world_from_robot().translation));
         let mut grey = self.grey(&measured)?;
         let mut logs_beside = self.logs_beside()?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
@@ -330,7 +354,7 @@ impl Drive {
         let mut followed = Followed::default();
         for observation in std::iter::once(Ok(first)).chain(log) {
             let Observation { frame, reference, recorded } = observation?;
-            let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
+            let grey = self.logs.kept(grey.as_mut().and_then(|g| g.next_at(frame.stamp).transpose()).transpose())?;
             let others = logs_beside.iter_mut().filter_map(|log| log.next_at(frame.stamp).transpose());
             let others = others.map(|other| other.and_then(|o| self.thinned(o))).map(|o| o.map(|o| o.frame));
             let mut others = others.collect::<Result<Vec<Frame>>>()?;
@@ -388,9 +412,7 @@ impl Drive {
 
     /// Opens the logs of the robot's other sensors.
     fn logs_beside(&self) -> Result<Vec<LogBeside>> {
-        let open = |(path, sensor): &(PathBuf, Sensor)| {
-            Ok(LogBeside { frames: LogFrames::open(path, Some(sensor), &self.odometry()?)?, next: None })
-        };
+        let open = |of: &RobotLog| Ok(LogBeside { frames: self.opened_of(of)?, next: None });
         self.robot.iter().skip(1).map(open).collect()
     }
 
@@ -433,7 +455,12 @@ fn files_of_bag(log: &Path) -> Vec<PathBuf> {
         return Vec::new();
     }
     let entries = std::fs::read_dir(log).into_iter().flatten().flatten().map(|entry| entry.path());
-    entries.filter(|path| path.extension().is_some_and(|e| e == "mcap" || e == "db3")).collect()
+    let is_of_bag = |path: &PathBuf| {
+        let name = path.to_string_lossy();
+        let name = name.trim_end_matches(".zstd");
+        name.ends_with(".mcap") || name.ends_with(".db3")
+    };
+    entries.filter(is_of_bag).collect()
 }
 
 /// Pixels of each verdict of a step that still has its verdict images.

@@ -1,7 +1,6 @@
 //! Questions that a planned view answers: objects in doubt, and findings at which a policy stops or to which it comes
 //! back.
 
-use super::describe;
 use presight::tools::write_atomically;
 use presight::update::{Action, Finding, Learner, PlannedView, Policy, SiteFindings};
 use presight::{Error, Result, World};
@@ -51,14 +50,14 @@ impl<'a> Questions<'a> {
     /// The findings with an action in words, with their planned views.
     pub fn describe(&self, action: Action) -> impl Iterator<Item = String> {
         let own = self.all.iter().filter(move |(_, own, _)| *own == action);
-        own.map(|(finding, _, view)| format!("{}{}", describe(finding), look_from(view.as_ref())))
+        own.map(|(finding, _, view)| format!("{finding}{}", look_from(view.as_ref())))
     }
 
     /// A line for each object in doubt, and for each finding to check.
     pub fn lines(&self, findings: &SiteFindings) -> String {
         let doubts = findings.doubts.iter().map(|d| line(d.object.as_str().into(), &d.why, d.view.as_ref()));
         let name = |f: &Finding| if f.object.is_empty() { Value::Null } else { f.object.as_str().into() };
-        let asked = self.all.iter().map(|(finding, _, view)| line(name(finding), &describe(finding), view.as_ref()));
+        let asked = self.all.iter().map(|(finding, _, view)| line(name(finding), &finding.to_string(), view.as_ref()));
         doubts.chain(asked).collect()
     }
 

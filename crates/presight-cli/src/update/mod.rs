@@ -12,7 +12,6 @@ use super::compared_bag::ComparedBag;
 use super::drive::{Drive, Sensed};
 use super::outputs::OutputFiles;
 use super::{CommandOutcome, print};
-use glam::DVec3;
 use known::KnownArgs;
 use looks::{Questions, look_from};
 use page::{FrameKey, Page};
@@ -23,7 +22,7 @@ use presight::localize::Step;
 use presight::measured::{Frame, ScanMotion};
 use presight::store::ProposedChange;
 use presight::tools::{create_folder, write_atomically};
-use presight::update::{Action, Finding, FindingKind, LearnOptions, Learner, Policy, SiteFindings};
+use presight::update::{Action, FindingKind, LearnOptions, Learner, Policy, SiteFindings};
 use presight::{Error, InWorld, PoseCovariance, PoseEstimate, Result, RobotPose, Scene, World};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -47,21 +46,21 @@ impl ComparedBag {
 }
 
 const EXAMPLES: &str = "Examples:
-  PlannedView, then apply:
-    presight update monday.jsonl tuesday.jsonl --map site.presight --init unknown --out found
+  Look at the proposed changes, then apply them:
+    presight update monday.jsonl tuesday.jsonl --map site.presight --init reference --out found
     presight env apply site.presight found/changes.jsonl
 
   With poses from elsewhere, known to 5 mm and 0.1 degrees:
-    presight update run.jsonl --map site.presight --poses run.tum \
-    --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found
+    presight update monday.jsonl --map site.presight --poses room.tum \\
+      --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out known
 
   New things whose shapes are known, as meshes:
-    presight update run.jsonl --map site.presight --init reference --library pallets \
-    --recognizer \"python3 name.py\" --out found
+    presight update monday.jsonl --map site.presight --init reference --library pallets \\
+      --recognizer \"python3 name.py\" --out named
 
   A robot with two sensors:
-    presight update front=front.jsonl rear=rear.jsonl --robot kurt.toml --map site.presight \
-    --init reference --out found";
+    presight update front=front rear=rear --robot kurt.toml --map site.presight \\
+      --init reference --out pair";
 
 /// Learn what changed: objects that are gone, moved or new, from the logs of drives
 ///
@@ -234,7 +233,7 @@ fn drives(args: &Args) -> Result<Vec<Drive>> {
         return Ok(vec![args.drive.of_robot(args.robot.as_deref(), &more)?]);
     }
     let logs = std::iter::once(args.drive.log.as_path()).chain(args.more.iter().map(PathBuf::as_path));
-    Ok(logs.map(|log| args.drive.with_log(log)).collect())
+    logs.map(|log| args.drive.with_log(log).of_robot(None, &[])).collect()
 }
 
 /// What a run saw of its frames.
@@ -352,6 +351,7 @@ fn follow_known(
     seen: &mut Seen,
     mut compared: Option<&mut ComparedBag>,
 ) -> Result<()> {
+    print::far_outside(scene, poses.iter().map(|p| p.pose.translation));
     let (mut without, mut with) = (0, 0);
     let mut nearest = (f64::INFINITY, 0.0, 0.0);
     drive.read(scene, Some(poses), |scene, Observation { frame, recorded, .. }| {
@@ -419,38 +419,11 @@ fn summary(learner: &Learner, findings: &SiteFindings, (before, after): (f64, f6
         findings.unseen
     );
     text += &format!("beams within 0.1 m of the model: {:.1} % before, {:.1} % after\n", 100.0 * before, 100.0 * after);
-    findings.changes.iter().for_each(|finding| text += &format!("{}\n", describe(finding)));
+    findings.changes.iter().for_each(|finding| text += &format!("{}\n", finding));
     for doubt in &findings.doubts {
         text += &format!("doubtful: {}: {}{}\n", doubt.object, doubt.why, look_from(doubt.view.as_ref()));
     }
     text
-}
-
-/// A place rounded to centimetres, without a negative zero.
-fn place(p: DVec3) -> String {
-    let [x, y, z] = p.to_array().map(|v| (100.0 * v).round() / 100.0 + 0.0);
-    format!("{x:.2},{y:.2},{z:.2}")
-}
-
-/// A finding in one line.
-fn describe(finding: &Finding) -> String {
-    let Finding { object, kind, l, views, .. } = finding;
-    let odds = format!("log-odds {l:.1}, {views} views");
-    match kind {
-        FindingKind::Gone => format!("gone: {object} ({odds})"),
-        FindingKind::Moved { distance, .. } => format!("moved: {object} by {distance:.3} m ({odds})"),
-        FindingKind::New(found) => {
-            let (s, at) = (found.size, place(found.pose.translation));
-            format!("new: {:.2} x {:.2} x {:.2} m at {at} ({odds})", s.x, s.y, s.z)
-        }
-        FindingKind::Recognized(known) => {
-            let (at, (_, _, yaw)) = (place(known.world_from_object.translation), known.world_from_object.rpy());
-            format!("new: {} at {at}, yaw {:.1} degrees ({odds})", known.shape.name(), yaw.to_degrees())
-        }
-        FindingKind::SeenThrough(class) => format!("seen through by sensors of class {class}: {object} ({odds})"),
-        FindingKind::ComesAndGoes => format!("comes and goes: {object} ({odds})"),
-        FindingKind::Part(b) => format!("part gone: {object} from {:.1} to {:.1} in its frame ({odds})", b.min, b.max),
-    }
 }
 
 /// The evidence after each frame of a drive, for replays.

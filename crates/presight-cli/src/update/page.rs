@@ -2,7 +2,7 @@
 //! evidence grew.
 
 use super::looks::look_from;
-use super::{Args, Drive, describe};
+use super::{Args, Drive};
 use glam::DVec3;
 use presight::files::Observation;
 use presight::measured::{Frame, ScanMotion};
@@ -66,7 +66,7 @@ impl Page<'_> {
             vec![Section { title: "All findings and doubts".into(), parts: vec![all], ..Section::default() }];
         for (number, finding) in self.findings.changes.iter().enumerate() {
             let frame = finding.best_view.as_ref().and_then(|view| frames.get(&FrameKey::of_view(view)));
-            let text = describe(finding);
+            let text = finding.to_string();
             let rest = text.split_once(": ").map_or(&*text, |(_, rest)| rest);
             let mut parts = Vec::new();
             if let Some(frame) = frame {
@@ -99,7 +99,7 @@ impl Page<'_> {
         for (number, drive) in self.drives.iter().enumerate().filter(|(n, _)| wanted.iter().any(|key| key.drive == *n))
         {
             for drive in drive.each_log() {
-                drive.read(self.scene, None, |_, Observation { frame, .. }| {
+                drive.read_again(self.scene, None, |_, Observation { frame, .. }| {
                     let key = FrameKey::of(number, frame);
                     if wanted.contains(&key) {
                         let moving = self.motions.get(&key).map(|m| frame.clone().with_scan_motion(m.clone()));
@@ -162,7 +162,7 @@ impl Page<'_> {
             if wanted.is_empty() {
                 break;
             }
-            drive.read(self.scene, None, |_, Observation { frame, .. }| {
+            drive.read_again(self.scene, None, |_, Observation { frame, .. }| {
                 let sensor = frame.sensor();
                 if wanted.remove(&*sensor.spec().name) {
                     sensors.insert(sensor.spec().name.clone(), sensor.clone());

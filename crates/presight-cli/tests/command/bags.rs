@@ -161,7 +161,7 @@ fn files_that_are_no_bags_are_refused_with_a_remedy() {
             bad("bag old.bag", 1, &["old.bag", "rosbags-convert --src"]),
             bad("localize old.bag --map wall.glb --init unknown --out a.tum", 1, &["old.bag", "rosbags-convert --src"]),
             bad("bag text.mcap", 1, &["text.mcap", "neither an MCAP nor an SQLite file"]),
-            bad("bag packed.db3", 1, &["packed.db3", "zstd -d"]),
+            bad("bag packed.db3", 1, &["packed.db3", "the compressed data is damaged", "copy the file again"]),
             bad("bag nothing.mcap", 1, &["nothing.mcap", "check the path"]),
             bad("bag cut.mcap --reflector -1", 2, &["--reflector -1"]),
             bad("bag cut.mcap --mount 1,2", 2, &["--mount"]),

@@ -18,6 +18,7 @@ use presight_model::measured::Frame;
 use presight_model::sensor::{Sensor, body_from_optical_rotation};
 use presight_read::atomic::{open_to_replace, refused};
 use presight_read::log::Recorded;
+use presight_ros::clean_frame_id;
 use presight_ros::message::{
     DiagnosticArray, DiagnosticStatus, Header, Message, PoseWithCovarianceStamped, TFMessage, TransformStamped,
 };
@@ -149,12 +150,18 @@ pub fn measured(recorded: &Recorded) -> Vec<Record> {
     info.into_iter().chain([message]).collect()
 }
 
-/// The pose of a `geometry_msgs/msg/PoseWithCovarianceStamped`, as RViz sends it on `/initialpose`.
+/// The pose of a `geometry_msgs/msg/PoseWithCovarianceStamped` in the frame `map`, as RViz sends it on `/initialpose`.
 ///
 /// # Errors
-/// [`presight_model::ErrorKind::Invalid`] for a message that is cut, an invalid pose, or an invalid covariance.
-pub fn initial_pose(message: &[u8]) -> Result<PoseEstimate> {
+/// [`presight_model::ErrorKind::Invalid`] for a message that is cut, a pose in another frame, an invalid pose, or an
+/// invalid covariance.
+pub fn initial_pose(message: &[u8], map: &str) -> Result<PoseEstimate> {
     let message = PoseWithCovarianceStamped::decode(message)?;
+    let frame = clean_frame_id(&message.header.frame_id);
+    if frame != clean_frame_id(map) {
+        let what = format!("the pose is in the frame {frame:?}, not in {map:?}");
+        return Err(Error::invalid(what, "set the fixed frame of RViz to the frame of the model"));
+    }
     let Some(pose) = message.pose else {
         return Err(Error::invalid("the pose is not a pose", "send a unit quaternion and finite metres"));
     };

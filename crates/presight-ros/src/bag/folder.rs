@@ -53,23 +53,46 @@ fn named_files(folder: &Path) -> Result<Option<Vec<PathBuf>>> {
     let file = |name: String| {
         let inside = folder.join(&name);
         let by_name = Path::new(&name).file_name().map(|last| folder.join(last));
-        if inside.exists() { inside } else { by_name.filter(|path| path.exists()).unwrap_or(inside) }
+        existing(&inside).or_else(|| existing(&by_name?)).unwrap_or(inside)
     };
     Ok((!names.is_empty()).then(|| names.into_iter().map(file).collect()))
 }
 
-/// The `.mcap` and `.db3` files of a folder, by the number before the ending, then by name.
+fn ends_in(path: &Path, endings: &[&str]) -> bool {
+    path.extension().is_some_and(|e| endings.iter().any(|ending| e.eq_ignore_ascii_case(ending)))
+}
+
+/// True for `.mcap` and `.db3`, and for these compressed as a whole.
+pub(super) fn has_name_of_bag(path: &Path) -> bool {
+    ends_in(&unpacked_name(path), &["mcap", "db3"])
+}
+
+/// The path of a file before it was compressed as a whole.
+fn unpacked_name(path: &Path) -> PathBuf {
+    if ends_in(path, &["zstd", "zst"]) { path.with_extension("") } else { path.to_owned() }
+}
+
+/// A file that a recording names, or the same before or after it was compressed.
+fn existing(path: &Path) -> Option<PathBuf> {
+    let mut packed = path.as_os_str().to_owned();
+    packed.push(".zstd");
+    [path.to_owned(), packed.into(), unpacked_name(path)].into_iter().find(|path| path.exists())
+}
+
+/// The files of bags in a folder, by the number before the ending, then by name.
 fn files_by_name(folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "list the folder", e))?;
     let mut files = Vec::new();
     for entry in entries {
         let path = entry.map_err(|e| Error::io(folder, "list the folder", e))?.path();
-        if path.extension().is_some_and(|e| e == "mcap" || e == "db3") {
+        if has_name_of_bag(&path) {
             files.push(path);
         }
     }
+    let is_double = |path: &PathBuf| unpacked_name(path) != *path && unpacked_name(path).exists();
+    files.retain(|path| !is_double(path));
     files.sort_by_key(|path| {
-        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let stem = unpacked_name(path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let number = stem.rsplit('_').next().and_then(|last| last.parse::<u64>().ok());
         (number, stem)
     });

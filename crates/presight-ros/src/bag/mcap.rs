@@ -1,6 +1,6 @@
 //! MCAP files (specification of mcap.dev, version 0), read forward without their index, so that a cut file is read too.
 
-use super::{MAX_RECORD_BYTES, Record, Registry, Step, Topic};
+use super::{MAX_RECORD_BYTES, Record, Registry, Step, Topic, packed};
 use mcap::McapError;
 use mcap::records::Record as McapRecord;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -13,7 +13,9 @@ use std::sync::Arc;
 
 pub(super) struct Reader {
     path: PathBuf,
-    file: File,
+    /// The file, or the unpacked content of a compressed one.
+    file: Box<dyn Read + Send>,
+    is_packed: bool,
     linear: LinearReader,
     schemas: HashMap<u16, String>,
     /// `None` for a channel whose messages are not wanted.
@@ -23,13 +25,17 @@ pub(super) struct Reader {
 
 impl Reader {
     pub(super) fn open(path: &Path) -> Result<Self> {
-        let file = File::open(path).map_err(|e| Error::io(path, "open the bag", e))?;
+        let is_packed = packed::is_packed(path)?;
+        let file: Box<dyn Read + Send> = match is_packed {
+            true => Box::new(packed::unpacking(path)?),
+            false => Box::new(File::open(path).map_err(|e| Error::io(path, "open the bag", e))?),
+        };
         // A chunk is checked before its first message is used: damaged bytes never become a measurement.
         let options =
             LinearReaderOptions::default().with_prevalidate_chunk_crcs(true).with_record_length_limit(MAX_RECORD_BYTES);
         let linear = LinearReader::new_with_options(options);
         let path = path.to_owned();
-        Ok(Self { path, file, linear, schemas: HashMap::new(), channels: HashMap::new(), bytes_read: 0 })
+        Ok(Self { path, file, is_packed, linear, schemas: HashMap::new(), channels: HashMap::new(), bytes_read: 0 })
     }
 
     pub(super) fn read(&mut self, registry: &mut Registry<'_>) -> Result<Step> {
@@ -42,7 +48,11 @@ impl Reader {
                 LinearReadEvent::Record { data, opcode } => (opcode, data),
                 LinearReadEvent::ReadRequest(count) => {
                     let buffer = self.linear.insert(count);
-                    let read = self.file.read(buffer).map_err(|e| Error::io(&self.path, "read the bag", e))?;
+                    let read = match self.file.read(buffer) {
+                        Ok(read) => read,
+                        Err(e) if self.is_packed => return Ok(Step::Lost(packed::damaged(&e).to_string())),
+                        Err(e) => return Err(Error::io(&self.path, "read the bag", e)),
+                    };
                     self.linear.notify_read(read);
                     self.bytes_read += read as u64;
                     continue;
@@ -71,11 +81,11 @@ impl Reader {
                     Some(None) => {}
                     Some(Some(topic)) => {
                         let log_time_ns = header.log_time.min(i64::MAX as u64) as i64;
-                        return Ok(Step::Record(Record {
-                            topic: Arc::clone(topic),
-                            log_time_ns,
-                            data: data.into_owned(),
-                        }));
+                        let data = match packed::message(data) {
+                            Ok(data) => data,
+                            Err(e) => return Ok(Step::Lost(format!("a message of {}: {e}", topic.name))),
+                        };
+                        return Ok(Step::Record(Record { topic: Arc::clone(topic), log_time_ns, data }));
                     }
                 },
                 // The summary repeats what stood before.

@@ -2,6 +2,7 @@
 
 mod folder;
 mod mcap;
+mod packed;
 mod sqlite;
 mod write;
 
@@ -63,7 +64,6 @@ enum Container {
 
 const MCAP_MAGIC: &[u8] = b"\x89MCAP0\r\n";
 const SQLITE_MAGIC: &[u8] = b"SQLite format 3\0";
-const ZSTD_MAGIC: &[u8] = b"\x28\xb5\x2f\xfd";
 const ROS1_MAGIC: &[u8] = b"#ROSBAG V";
 
 impl Bag {
@@ -73,8 +73,7 @@ impl Bag {
             return folder::holds_bag(path);
         }
         let magics = [MCAP_MAGIC, SQLITE_MAGIC, ROS1_MAGIC];
-        let by_name =
-            path.extension().is_some_and(|e| ["mcap", "db3", "bag"].iter().any(|n| e.eq_ignore_ascii_case(n)));
+        let by_name = folder::has_name_of_bag(path) || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("bag"));
         // A pipe must keep its first bytes.
         by_name
             || path.is_file()
@@ -85,8 +84,8 @@ impl Bag {
     /// taken by name.
     ///
     /// # Errors
-    /// [`ErrorKind::Invalid`] if there is no bag at the path; [`ErrorKind::Unsupported`] for a bag of ROS 1 or a
-    /// compressed file; [`ErrorKind::System`] if a file cannot be read.
+    /// [`ErrorKind::Invalid`] if there is no bag at the path; [`ErrorKind::Unsupported`] for a bag of ROS 1;
+    /// [`ErrorKind::System`] if a file cannot be read.
     pub fn open(path: &Path) -> Result<Self> {
         let files = if path.is_dir() { folder::files_of(path)? } else { vec![path.to_owned()] };
         for file in &files {
@@ -126,24 +125,27 @@ fn first_bytes(path: &Path) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// The container of a file, which may be compressed as a whole.
 fn container_of(file: &Path) -> Result<Container> {
-    let bytes = first_bytes(file)?;
-    let unsupported = |what: &str, remedy: &str| Err(Error::new(ErrorKind::Unsupported, what, remedy).in_file(file));
+    if packed::is_packed(file)? {
+        return packed::container_in(file);
+    }
+    container_of_bytes(&first_bytes(file)?).map_err(|e| e.in_file(file))
+}
+
+/// The container that begins with these bytes.
+fn container_of_bytes(bytes: &[u8]) -> Result<Container> {
     if bytes.starts_with(MCAP_MAGIC) {
         Ok(Container::Mcap)
     } else if bytes.starts_with(SQLITE_MAGIC) {
         Ok(Container::Sqlite)
-    } else if bytes.starts_with(ZSTD_MAGIC) {
-        unsupported("the file is compressed as a whole", "unpack it with: zstd -d FILE")
     } else if bytes.starts_with(ROS1_MAGIC) {
-        unsupported(
-            "a bag of ROS 1",
-            "convert it with: pip install rosbags; rosbags-convert --src FILE.bag --dst FOLDER",
-        )
+        let remedy = "convert it with: pip install rosbags; rosbags-convert --src FILE.bag --dst FOLDER";
+        Err(Error::new(ErrorKind::Unsupported, "a bag of ROS 1", remedy))
     } else if bytes.is_empty() {
-        Err(Error::invalid("the bag is empty", "record it again").in_file(file))
+        Err(Error::invalid("the bag is empty", "record it again"))
     } else {
-        Err(Error::invalid("neither an MCAP nor an SQLite file", "give a bag of ROS 2").in_file(file))
+        Err(Error::invalid("neither an MCAP nor an SQLite file", "give a bag of ROS 2"))
     }
 }
 

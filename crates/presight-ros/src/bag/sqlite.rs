@@ -1,6 +1,6 @@
 //! SQLite files (`.db3`) of rosbag2, of any schema version: tables `topics` and `messages`.
 
-use super::{MAX_RECORD_BYTES, Record, Registry, Step, Topic};
+use super::{MAX_RECORD_BYTES, Record, Registry, Step, Topic, packed};
 use presight_model::error::{Error, Result};
 use rusqlite::{Connection, OpenFlags, OptionalExtension, params};
 use std::collections::HashMap;
@@ -10,7 +10,7 @@ use tempfile::TempDir;
 
 pub(super) struct Reader {
     connection: Connection,
-    /// Dropped after the connection: a copy of a file that has a write-ahead log.
+    /// Dropped after the connection: a copy of a file that has a write-ahead log, or the content of a compressed one.
     _copy: Option<TempDir>,
     topics: Option<HashMap<i64, Arc<Topic>>>,
     last_id: i64,
@@ -22,8 +22,10 @@ impl Reader {
         let has_log = std::fs::metadata(&log).is_ok_and(|m| m.len() > 0);
         // To read a write-ahead log SQLite writes into the same folder, so it gets a copy. A file without a log is
         // opened as immutable.
-        let (_copy, path) = if has_log {
-            let copy = copy_with_log(path, &log)?;
+        let is_packed = packed::is_packed(path)?;
+        let has_log = has_log && !is_packed;
+        let (_copy, path) = if has_log || is_packed {
+            let copy = if is_packed { packed::unpacked(path)? } else { copy_with_log(path, &log)? };
             let path = copy.path().join("bag.db3");
             (Some(copy), path)
         } else {
@@ -53,7 +55,10 @@ impl Reader {
                     self.last_id = id;
                     let Some(topic) = topics.get(&topic_id) else { continue };
                     return Ok(match read_data(&self.connection, id) {
-                        Ok(data) => Step::Record(Record { topic: Arc::clone(topic), log_time_ns, data }),
+                        Ok(data) => match packed::message(data.into()) {
+                            Ok(data) => Step::Record(Record { topic: Arc::clone(topic), log_time_ns, data }),
+                            Err(e) => Step::Lost(format!("message {id} of {}: {e}", topic.name)),
+                        },
                         Err(e) => Step::Lost(format!("message {id} cannot be read: {e}")),
                     });
                 }

@@ -47,6 +47,16 @@ pub struct SceneMarker {
 }
 
 impl SceneMarker {
+    /// Width of lines, metres: visible from across a hall, and narrower than what scanners resolve there.
+    pub const LINE_M: f64 = 0.02;
+
+    /// Lines between points 0 and 1, 2 and 3, ..., metres in the axes of the marker.
+    pub fn lines(namespace: impl Into<String>, color: [f32; 4], points: impl IntoIterator<Item = [f64; 3]>) -> Self {
+        let mut marker = Self::new(MarkerKind::LineList, namespace, color);
+        (marker.scale, marker.points) = ([Self::LINE_M; 3], points.into_iter().collect());
+        marker
+    }
+
     /// A shape without points at the origin of its frame, with a scale of 1 m. The sender sets stamp, frame and id.
     pub fn new(kind: MarkerKind, namespace: impl Into<String>, color: [f32; 4]) -> Self {
         Self {

@@ -6,6 +6,7 @@ use crate::observe::priors::own_bounds;
 use glam::DVec3;
 use presight_model::environment::Environment;
 use presight_model::geometry::{Aabb, Pose, SensorPose};
+use std::fmt;
 
 /// The kind of a difference between model and site.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,6 +48,35 @@ pub struct Finding {
     pub best_view: Option<BestView>,
     /// Log-odds of the object after each view.
     pub growth: Vec<f32>,
+}
+
+/// The finding in one line, with its evidence.
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { object, kind, l, views, .. } = self;
+        match kind {
+            FindingKind::Gone => write!(f, "gone: {object}")?,
+            FindingKind::Moved { distance, .. } => write!(f, "moved: {object} by {distance:.3} m")?,
+            FindingKind::New(found) => {
+                let (s, at) = (found.size, place(found.pose.translation));
+                write!(f, "new: {:.2} x {:.2} x {:.2} m at {at}", s.x, s.y, s.z)?;
+            }
+            FindingKind::Recognized(known) => {
+                let (at, (_, _, yaw)) = (place(known.world_from_object.translation), known.world_from_object.rpy());
+                write!(f, "new: {} at {at}, yaw {:.1} degrees", known.shape.name(), yaw.to_degrees())?;
+            }
+            FindingKind::SeenThrough(class) => write!(f, "seen through by sensors of class {class}: {object}")?,
+            FindingKind::ComesAndGoes => write!(f, "comes and goes: {object}")?,
+            FindingKind::Part(b) => write!(f, "part gone: {object} from {:.1} to {:.1} in its frame", b.min, b.max)?,
+        }
+        write!(f, " (log-odds {l:.1}, {views} views)")
+    }
+}
+
+/// A place to the centimetre, without a negative zero.
+fn place(p: DVec3) -> String {
+    let [x, y, z] = p.to_array().map(|v| (100.0 * v).round() / 100.0 + 0.0);
+    format!("{x:.2},{y:.2},{z:.2}")
 }
 
 /// The view that shows a finding best.

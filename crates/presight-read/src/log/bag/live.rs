@@ -19,8 +19,12 @@ pub struct LiveFrames {
     options: BagOptions,
     sensor: Option<Sensor>,
     noise: OdometryNoise,
+    /// The frame of the model, whose transforms are answers.
+    map: String,
     /// Transforms before the first measurement, whose frame decides what is needed.
     tree: FrameTree,
+    /// The frame of the odometry before the first measurement.
+    odom: Option<String>,
     info: Option<Vec<u8>>,
     stream: Option<Stream>,
     notices: Arc<Mutex<Vec<String>>>,
@@ -29,12 +33,15 @@ pub struct LiveFrames {
 
 impl LiveFrames {
     /// No message yet. `sensor` gives noise and limits, and a mount where no transform does.
-    pub fn new(options: BagOptions, sensor: Option<Sensor>, noise: OdometryNoise) -> Self {
+    /// Transforms from the frame `map` of the model are left out: a node that publishes them also receives them.
+    pub fn new(options: BagOptions, sensor: Option<Sensor>, noise: OdometryNoise, map: &str) -> Self {
         Self {
             options,
             sensor,
             noise,
+            map: clean_frame_id(map).to_owned(),
             tree: FrameTree::default(),
+            odom: None,
             info: None,
             stream: None,
             notices: Arc::default(),
@@ -51,12 +58,7 @@ impl LiveFrames {
     pub fn add(&mut self, record: Record) -> Result<()> {
         match record.topic.message_type.as_str() {
             TFMessage::TYPE => self.add_transforms(&record.data, is_static_topic(&record.topic)),
-            Odometry::TYPE => {
-                let Some(stream) = &mut self.stream else { return Ok(()) };
-                stream.add_odometry(&record.data)?;
-                stream.find_odometry(&Header::decode(&record.data)?.frame_id);
-                Ok(())
-            }
+            Odometry::TYPE => self.add_odometry(&record.data),
             CameraInfo::TYPE => {
                 match &mut self.stream {
                     Some(stream) => stream.info = Some(Info::decode(record.data)?),
@@ -80,18 +82,39 @@ impl LiveFrames {
     }
 
     fn add_transforms(&mut self, data: &[u8], is_static: bool) -> Result<()> {
-        if let Some(stream) = &mut self.stream {
-            stream.add_transforms(data, is_static)?;
-            stream.find_odometry("odom");
-            return Ok(());
-        }
         for t in TFMessage::decode(data)?.transforms {
             let (Some(pose), header) = (t.parent_from_child, &t.header) else { continue };
-            self.tree.insert(&header.frame_id, &t.child_frame_id, header.stamp_ns, pose, is_static)?;
-            if !is_static {
+            if clean_frame_id(&header.frame_id) == self.map {
+                continue;
+            }
+            let tree = self.stream.as_mut().map_or(&mut self.tree, |stream| &mut stream.tree);
+            let inserted = tree.insert(&header.frame_id, &t.child_frame_id, header.stamp_ns, pose, is_static);
+            if let Err(e) = inserted {
+                self.add_notice(format!("a transform is left out: {e}"));
+                continue;
+            }
+            if !is_static && self.stream.is_none() {
                 self.tree.forget_before(header.stamp_ns);
             }
         }
+        if let Some(stream) = &mut self.stream {
+            stream.find_odometry("odom");
+        }
+        Ok(())
+    }
+
+    fn add_odometry(&mut self, data: &[u8]) -> Result<()> {
+        let frame = Header::decode(data)?.frame_id;
+        if let Some(stream) = &mut self.stream {
+            stream.add_odometry(data)?;
+            stream.find_odometry(&frame);
+            return Ok(());
+        }
+        let Odometry { header, child_frame_id, odom_from_child, .. } = Odometry::decode(data)?;
+        let Some(pose) = odom_from_child else { return Ok(()) };
+        self.tree.insert(&frame, &child_frame_id, header.stamp_ns, pose, false)?;
+        self.tree.forget_before(header.stamp_ns);
+        self.odom = Some(frame);
         Ok(())
     }
 
@@ -123,13 +146,15 @@ impl LiveFrames {
             self.add_notice(format!("{} waits for its CameraInfo", record.topic.name));
             return Ok(None);
         }
-        let is_connected = |world: &str| self.tree.lookup(world, &base, 0) != Lookup::Unconnected;
+        let is_connected =
+            |world: &&str| self.tree.contains(world) && self.tree.lookup(world, &base, 0) != Lookup::Unconnected;
+        let odom = ["odom"].into_iter().chain(self.odom.as_deref()).find(is_connected);
         let choice = Choice {
             topic: record.topic.name.clone(),
             measured,
             frame,
             camera_info: is_image.then(|| "camera_info".to_owned()),
-            odom: (self.tree.contains("odom") && is_connected("odom")).then(|| "odom".to_owned()),
+            odom: odom.map(|odom| clean_frame_id(odom).to_owned()),
             odometry_topic: None,
             has_reference: false,
             base_from_frame,
