@@ -304,8 +304,8 @@ fn a_room_from_a_helix() {
         pixels.filter(|(p, measured)| (f64::from(**measured) - range(*p, w)).abs() > 1e-6 * range(*p, w)).count()
     };
     assert_eq!(off(w), 0);
-    // Planted: it turns the other way.
-    assert!(off(-w) > 2000, "{}", off(-w));
+    // Planted: it turns the other way. What meets the floor or the ceiling does not change.
+    assert!(off(-w) > 900, "{}", off(-w));
 }
 
 /// A wall 4 m ahead ends at y = 0.5 m, and another one is 8 m ahead. By hand: a camera that drives to the left at v sees
