@@ -7,6 +7,8 @@ pub use presight_model::limits::{
 #[doc(inline)]
 pub use presight_model::memory::{FrameMemory, of_writing as memory_of_writing, require as require_memory, reserved};
 #[doc(inline)]
+pub use presight_model::plausible::{poses_far_outside, radians as notice_of_radians};
+#[doc(inline)]
 pub use presight_model::printable::{clipped, printable, quoted};
 #[doc(inline)]
 pub use presight_model::statistics::{median, quantile, upper_median};

@@ -1,10 +1,11 @@
 //! NumPy arrays in and out. What comes in is copied at once, what goes out keeps its buffer.
 
-use super::errors::{raised, usage};
+use super::errors::{raised, usage, warn};
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use numpy::{Element, PyArray1, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use presight::predict::SamplesMut;
 use presight::sensor::{ExternalPose, PoseFrame, PoseOf, WorldFrame};
+use presight::tools;
 use presight::{Error, Images, InWorld, Output, Outputs, Pose, PoseCovariance, Result};
 use pyo3::prelude::*;
 use pyo3::types::{PyString, PyTuple};
@@ -93,7 +94,10 @@ impl Conventions {
 pub fn pose_of(given: &Bound<'_, PyAny>, argument: &str) -> PyResult<Pose> {
     let (shape, values) = numbers::<f64>(given, argument)?;
     match shape[..] {
-        [6] | [7] | [4, 4] => pose(&values).map_err(|e| raised(given.py(), &e.at(argument))),
+        [6] | [7] | [4, 4] => {
+            warn_of_radians(given.py(), &values, values.len())?;
+            pose(&values).map_err(|e| raised(given.py(), &e.at(argument)))
+        }
         _ => Err(usage(given.py(), argument, shape_words(&shape), POSE)),
     }
 }
@@ -110,8 +114,18 @@ pub fn poses_of(given: &Bound<'_, PyAny>) -> PyResult<Vec<Pose>> {
     if values.is_empty() {
         return Err(usage(py, "poses", "there is no pose", "give at least one"));
     }
+    warn_of_radians(py, &values, size)?;
     let one = |(i, numbers)| pose(numbers).map_err(|e| raised(py, &e.at(format!("pose {i}"))));
     values.chunks(size).enumerate().map(one).collect()
+}
+
+/// Warns if the angles of poses of six numbers are likely in radians.
+fn warn_of_radians(py: Python<'_>, values: &[f64], size: usize) -> PyResult<()> {
+    if size != 6 {
+        return Ok(());
+    }
+    let angles: Vec<f64> = values.chunks(6).flat_map(|pose| pose[3..].iter().copied()).collect();
+    warn(py, &tools::notice_of_radians(&angles))
 }
 
 fn pose(numbers: &[f64]) -> Result<Pose> {

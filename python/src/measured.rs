@@ -163,11 +163,13 @@ impl Log {
     /// Reads a log. `sensor` supplies noise, limits and mount, and must have the log's image size. What the log leaves out is one warning.
     /// For a ROS 2 bag, `topic` names the measured topic if there are several, `base` the robot's frame (by default `base_link`, else
     /// `base_footprint`), `mount` the sensor's pose on the robot where no static transform gives it, and `reflector` the intensity of a
-    /// full reflector.
+    /// full reflector. With `skip_bad` frames that cannot be read and frames whose time falls are left out; the warning counts and names
+    /// them.
     ///
     /// Raises `Error` naming file and frame, and `MemoryError` for a log that does not fit.
     #[staticmethod]
-    #[pyo3(signature = (path, sensor = None, topic = None, base = None, mount = None, reflector = None))]
+    #[pyo3(signature = (path, sensor = None, topic = None, base = None, mount = None, reflector = None, skip_bad = false))]
+    #[expect(clippy::too_many_arguments, reason = "arguments of Python by name")]
     fn open(
         py: Python<'_>,
         path: PathBuf,
@@ -176,12 +178,17 @@ impl Log {
         base: Option<String>,
         mount: Option<&Bound<'_, PyAny>>,
         reflector: Option<f32>,
+        skip_bad: bool,
     ) -> PyResult<Self> {
         let sensor = sensor.map(sensor_of).transpose()?;
         let mount = mount.map(|given| pose_of(given, "mount")).transpose()?;
         let bag = BagOptions::default().with_topic(topic).with_base(base).with_mount(mount).with_reflector(reflector);
         let log = apart(py, || {
-            let mut log = LogFrames::open_with(&path, sensor.as_ref(), &OdometryNoise::default(), &bag)?;
+            let (sensor, noise) = (sensor.as_ref(), OdometryNoise::default());
+            let mut log = match skip_bad {
+                true => LogFrames::open_skipping_bad(&path, sensor, &noise, &bag)?,
+                false => LogFrames::open_with(&path, sensor, &noise, &bag)?,
+            };
             let (mut frames, mut bytes) = (Vec::new(), 0);
             while let Some(frame) = log.next().transpose()? {
                 bytes += 8 * frame.frame.ranges().len() as u64;

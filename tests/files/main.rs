@@ -6,5 +6,7 @@ mod import;
 mod mirrored;
 #[cfg(feature = "ros")]
 mod moving_clouds;
+mod plausible;
 #[cfg(feature = "script")]
 mod script;
+mod skip_bad;

@@ -8,8 +8,8 @@ use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
   presight bag drive.mcap
-  presight bag rosbag2_2026_11_28 --topic /scan --base base_footprint
-  presight bag drive.db3 --json | jq .topics";
+  presight bag drive.mcap --topic /camera/depth/image --base base_link
+  presight bag drive.mcap --json | jq .topics";
 
 /// Show the topics, frames and times of a ROS 2 bag, and what presight takes from it
 ///

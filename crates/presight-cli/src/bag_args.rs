@@ -1,31 +1,76 @@
 //! Flags for logs that are ROS 2 bags.
 
 use super::pose::parse_pose;
-use presight::files::BagOptions;
-use presight::{Error, Result};
-
-/// The heading of these flags in the help.
-const HEADING: &str = "ROS 2 bags";
+use super::print;
+use presight::files::{BagOptions, LogFrames};
+use presight::measured::OdometryNoise;
+use presight::{Error, Result, Sensor};
+use std::path::Path;
 
 /// Choices that a bag leaves open.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct BagArgs {
     /// The measured topic of a bag [default: the only one that presight can read]. Several are sensors of one drive,
     /// where a command takes a robot
-    #[arg(long, help_heading = HEADING, value_name = "TOPIC")]
+    #[arg(long, value_name = "TOPIC")]
     topic: Vec<String>,
 
     /// The frame of the robot in a bag [default: base_link, else base_footprint]
-    #[arg(long, help_heading = HEADING, value_name = "FRAME")]
+    #[arg(long, value_name = "FRAME")]
     base: Option<String>,
 
     /// Pose of the sensor on the robot, body axes, for a bag without this transform: x,y,z,roll_deg,pitch_deg,yaw_deg
-    #[arg(long, help_heading = HEADING, value_name = "POSE", allow_hyphen_values = true)]
+    #[arg(long, value_name = "POSE", allow_hyphen_values = true)]
     mount: Option<String>,
 
     /// Intensity of a full reflector in units of the driver; without it the intensities of a bag are not read
-    #[arg(long, help_heading = HEADING, value_name = "VALUE")]
+    #[arg(long, value_name = "VALUE")]
     reflector: Option<f32>,
+}
+
+/// Flags for logs: the choices that a bag leaves open, and what to do with frames that cannot be read.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct LogArgs {
+    #[command(flatten)]
+    pub bag: BagArgs,
+
+    /// Leave out frames that cannot be read and frames whose time falls; their number and places are printed. Without
+    /// it the first one ends the command
+    #[arg(long)]
+    skip_bad: bool,
+}
+
+impl LogArgs {
+    /// Opens a log.
+    ///
+    /// # Errors
+    /// As [`LogFrames::open_with`], and those of [`BagArgs::options`].
+    pub fn open(&self, log: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise) -> Result<LogFrames> {
+        let bag = self.bag.options()?;
+        match self.skip_bad {
+            true => LogFrames::open_skipping_bad(log, sensor, noise, &bag),
+            false => LogFrames::open_with(log, sensor, noise, &bag),
+        }
+    }
+
+    /// These flags for one topic of a bag.
+    pub fn of_topic(&self, topic: Option<String>) -> Self {
+        Self { bag: self.bag.of_topic(topic), skip_bad: self.skip_bad }
+    }
+
+    /// The frame that was read, unless it is bad and bad frames are left out; then a notice names it.
+    ///
+    /// # Errors
+    /// The error of the frame.
+    pub fn kept<T>(&self, frame: Result<Option<T>>) -> Result<Option<T>> {
+        match frame {
+            Err(e) if self.skip_bad => {
+                print::notices(&[format!("left out: {e}")]);
+                Ok(None)
+            }
+            frame => frame,
+        }
+    }
 }
 
 impl BagArgs {

@@ -9,12 +9,12 @@ use super::pose::{PoseFrame, PoseOf, WorldFrame, given_pose};
 use super::sensor_args::SensorArgs;
 use super::series::SeriesProgress;
 use super::{CommandOutcome, bar, open_scene, print};
-use presight::environment::IndexKind;
+use presight::environment::{Aabb, IndexKind};
 use presight::files::{self, ImportOptions, StampedPose, files_named_by};
 use presight::measured::{Frame, Measurement, ScanMotion};
 use presight::predict::{BatchItem, BatchRequest, Headings, PoseCell, RangeLikelihood};
 use presight::sensor::ExternalPose;
-use presight::tools::create_folder;
+use presight::tools::{self, create_folder};
 use presight::{
     Backend, Error, IdScheme, ImageRequest, Output, Outputs, Pose, Predictor, Result, Scene, Sensor, SensorPose,
     Threads, Twist, blake3_of,
@@ -30,14 +30,15 @@ const EXAMPLES: &str = "Examples:
     presight batch hall.glb --poses drive.tum --sensor vlp-16 --out images
 
   The log-likelihood of scan 3 of a log at each pose:
-    presight batch map.glb --poses particles.tum --sensor sick.toml --likelihood run.json#3 --out weights
+    presight batch corridor.glb --poses corridor.tum --sensor scanner.toml --likelihood scans.json#3 \\
+      --out weights
 
   The same at 360 headings of each place, with places 0.25 m apart:
-    presight batch map.glb --poses places.tum --sensor sick.toml --likelihood run.json#3 \\
-      --headings 360 --cell-m 0.25 --out weights
+    presight batch corridor.glb --poses places.tum --sensor scanner.toml --likelihood scans.json#3 \\
+      --headings 360 --cell-m 0.25 --out headings
 
   The second half of a batch, on another machine:
-    presight batch hall.glb --poses drive.tum --sensor vlp-16 --out images --shard 2/2
+    presight batch hall.glb --poses drive.tum --sensor vlp-16 --out half --shard 2/2
 
 After an interruption, run the same command again to continue.";
 
@@ -135,11 +136,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut request = args.request(&sensor)?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let scene = open_scene(&args.scene, &import, IndexKind::default())?;
-    let poses = PoseFile::read(&args.poses, |pose| {
+    let poses = PoseFile::read(&args.poses, &scene.world.environment().bounds(), |pose| {
         let pose = args.given(pose)?.of_sensor(sensor.spec(), &scene.world_from_gltf)?;
         request.headings.as_ref().map_or(Ok(()), |headings| headings.place(&pose).map(drop))?;
         Ok(pose)
     })?;
+    print::notices(&poses.far_outside);
     // All shards must use the same height.
     request.height = Some(poses.first.world_from_sensor().translation.z);
     request.motions = args.motions(&scene, &sensor)?;
@@ -302,6 +304,14 @@ fn frame_of(frame: &str) -> (PathBuf, Option<usize>) {
 }
 
 fn read_sensed(frame_name: &str, sensor: &Sensor, cell: PoseCell) -> Result<RangeLikelihood> {
+    RangeLikelihood::new(&read_measured(frame_name, sensor)?, cell).map_err(|e| e.in_file(frame_of(frame_name).0))
+}
+
+/// Reads a measured image of a sensor: an EXR file, or `FILE#INDEX` of a log.
+///
+/// # Errors
+/// Those of the readers; [`presight::ErrorKind::Invalid`] for an image of another sensor.
+pub(super) fn read_measured(frame_name: &str, sensor: &Sensor) -> Result<Frame> {
     let (path, index) = frame_of(frame_name);
     let range = match index {
         Some(index) => {
@@ -325,7 +335,7 @@ fn read_sensed(frame_name: &str, sensor: &Sensor, cell: PoseCell) -> Result<Rang
     let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(range)).map_err(|e| e.in_file(&path))?;
     let notice = files::notice_of_readings(&frame);
     print::notices(&notice.map(|notice| format!("{frame_name}: {notice}")));
-    RangeLikelihood::new(&frame, cell).map_err(|e| e.in_file(&path))
+    Ok(frame)
 }
 
 /// A summary of the pose file, which is read in full at the start so that errors in it are found before any work.
@@ -333,17 +343,21 @@ struct PoseFile {
     count: usize,
     /// The sensor's first pose.
     first: SensorPose,
+    /// The notice on poses far outside of the model.
+    far_outside: Option<String>,
     blake3: String,
 }
 
 impl PoseFile {
-    fn read(path: &Path, of_sensor: impl Fn(Pose) -> Result<SensorPose>) -> Result<Self> {
+    fn read(path: &Path, bounds: &Aabb, of_sensor: impl Fn(Pose) -> Result<SensorPose>) -> Result<Self> {
         let mut hasher = blake3::Hasher::new();
-        let (mut count, mut first) = (0, None);
+        let (mut count, mut first, mut far_outside) = (0, None, None);
         for stamped in files::stream_tum(path)? {
             let StampedPose { time, pose } = stamped?;
             let placed = of_sensor(pose).map_err(|e| e.at(format!("pose {count}")).in_file(path))?;
             first.get_or_insert(placed);
+            let far = || tools::poses_far_outside(bounds, [placed.world_from_sensor().translation]);
+            far_outside = far_outside.or_else(|| Some(format!("{}: pose {count}: {}", path.display(), far()?)));
             count += 1;
             let numbers = [&[time][..], &pose.translation.to_array(), &pose.rotation.to_array()].concat();
             for number in numbers {
@@ -354,7 +368,7 @@ impl PoseFile {
             let remedy = "give at least one line of timestamp tx ty tz qx qy qz qw";
             return Err(Error::invalid("the file has no poses", remedy).in_file(path));
         };
-        Ok(Self { count, first, blake3: hasher.finalize().to_hex().to_string() })
+        Ok(Self { count, first, far_outside, blake3: hasher.finalize().to_hex().to_string() })
     }
 }
 

@@ -1,6 +1,6 @@
 //! `presight explore`: a model of an environment from what a sensor measured there.
 
-use super::bag_args::BagArgs;
+use super::bag_args::LogArgs;
 #[cfg(feature = "ros")]
 use super::output_bag::OutputBag;
 use super::outputs::{OutputFiles, check_no_dash};
@@ -18,11 +18,13 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 const EXAMPLES: &str = "Examples:
-  presight explore livingroom --stride 4 --out room.presight
-  presight explore monday tuesday --sensor monday/sensor.toml --map rough.glb --out hall.presight
-  presight explore wednesday --sensor monday/sensor.toml --out hall.presight
+  presight explore livingroom --sensor camera.toml --out room.presight
+  presight explore monday.jsonl tuesday.jsonl --sensor monday/sensor.toml --map scenes/room.glb \\
+    --out rough.presight
+  presight explore wednesday.jsonl --sensor monday/sensor.toml --out rough.presight
   presight explore scans.json --wall-height 2.5 --polygons 200 --out corridor.presight
-  presight localize thursday --map hall.presight --sensor monday/sensor.toml --init reference --out thursday.tum";
+  presight localize thursday.jsonl --map rough.presight --sensor monday/sensor.toml --init reference \\
+    --out followed.tum";
 
 /// A rough model that leaves this share of the points unexplained may show another place.
 const STRANGE: f64 = 0.8;
@@ -71,7 +73,7 @@ pub struct Args {
     image: SensorArgs,
 
     #[command(flatten)]
-    bag: BagArgs,
+    reading: LogArgs,
 
     /// Use every N-th column and row
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
@@ -230,7 +232,7 @@ impl Args {
         };
         let mut follower: Option<Follower> = None;
         for log in &self.logs {
-            let mut frames = LogFrames::open_with(log, sensor, &Default::default(), &self.bag.options()?)?;
+            let mut frames = self.reading.open(log, sensor, &Default::default())?;
             for observation in frames.by_ref() {
                 let Observation { frame, reference, .. } = observation?;
                 let frame = if self.stride > 1 { frame.thinned(self.stride)? } else { frame };
@@ -265,7 +267,7 @@ impl Args {
 
     /// Adds the frames of a log that have a pose.
     fn add(&self, log: &Path, sensor: Option<&Sensor>, poses: Option<&[StampedPose]>, views: &mut Views) -> Result<()> {
-        let frames = LogFrames::open_with(log, sensor, &Default::default(), &self.bag.options()?)?;
+        let frames = self.reading.open(log, sensor, &Default::default())?;
         // The poses that place the scans also say how the robot moved meanwhile.
         let mut frames = match poses {
             None => frames.moving_by_reference(),

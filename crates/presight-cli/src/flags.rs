@@ -21,7 +21,7 @@ const WORDS: &[(&str, &str)] = &[
     ("`SceneOptions::exclude`", "--exclude"),
     ("`SearchOptions::floor`", "--floor"),
     ("`SearchOptions::margin`", "--margin"),
-    ("`Settings::floor_z_world`", "--floor-z"),
+    ("`Settings::floor_z_world`", "--floor"),
     ("`View::features` of a layer", "a --layer"),
     ("`cascade: true`", "--cascade"),
     ("`port`", "--port"),

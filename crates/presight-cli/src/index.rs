@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   presight index hall.glb
-  presight index hall.glb --out study                  also write study/index.csv
+  presight index hall.glb --out study                  # also write study/index.csv
   presight index hall.glb --sweep --sensor vlp-16 --out study";
 
 /// Measure the spatial indexes: build time, memory, access time, selectivity, whole predictions

@@ -24,6 +24,7 @@ mod features;
 mod file_names;
 mod flags;
 mod frame_args;
+mod headings;
 mod index;
 mod inspect;
 mod layers;
@@ -82,16 +83,18 @@ struct Cli {
 }
 
 const EXAMPLES: &str = "Examples:
-  presight sensors                              list the built-in sensors
-  presight inspect hall.glb                     the contents of a model, and its problems
+  presight sensors                            # list the built-in sensors
+  presight inspect hall.glb                   # the contents of a model, and its problems
   presight predict hall.glb --sensor microwave-radar-image --pose 2,1,1.2,0,0,90 --png view.png
-  presight compare reference.exr other.exr      do two predictions agree?
-  presight doctor                               which engines work here
-  presight report hall.glb --out study          a page of error against run time
-  presight env create hall.presight hall.glb    keep a model, and every change to it
+  presight compare reference.exr other.exr    # do two predictions agree?
+  presight doctor                             # which engines work here
+  presight report hall.glb --quick --out study # a page of error against run time
+  presight env create hall.presight hall.glb  # keep a model, and every change to it
 
 Exit status: 0 success, 1 an invalid file or a check that found something, 2 wrong usage,
-3 no device for the requested backend, 4 a system error (disk full, memory, locked, permission).";
+3 no device for the requested backend, 4 a system error (disk full, memory, locked, permission).
+
+scenes/examples.sh in the repository makes the files that the examples of all commands name.";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -273,7 +276,7 @@ fn command() -> clap::Command {
         };
         command.mut_args(negative).mut_subcommands(numbers)
     }
-    numbers(Cli::command())
+    headings::under_headings(numbers(Cli::command()))
 }
 
 /// Opens a scene. Output of a script's `print` and notices of the import go to stderr.

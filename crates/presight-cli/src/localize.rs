@@ -13,14 +13,15 @@ use presight::verdict::Verdict as Judged;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
-  presight localize livingroom --map livingroom/livingroom_map.glb --init reference --stride 4 --out flight.tum
-  presight localize run --map hall.presight --sensor camera.toml --init 1,2,1.5,0,20,90 --out run.tum
+  presight localize livingroom --map scenes/room.glb --sensor camera.toml \\
+    --init reference --out followed.tum
+  presight localize run --map hall.glb --sensor camera.toml --init 12,18,1,0,0,0 --out run.tum
   presight localize scans.json --map corridor.glb --init unknown --out run.tum
-  presight localize livingroom --map livingroom/livingroom_map.glb --stride 4 --from 30 \\
-    --init unknown --floor 0.75 --floor-to 1.3 --lean 0,16.6 --margin 1 --surrounded 0.02 --out run.tum
-  presight localize drive.mcap --map hall.glb --init unknown --out drive.tum --mcap answers.mcap
-  presight localize street_1.ply --map street_map.glb \\
-    --init 0,0,0,0,0,0 --init-sigma 0.3 --init-sigma-deg 8 --out run.tum";
+  presight localize livingroom --map scenes/room.glb --sensor camera.toml --from 2 \\
+    --init unknown --floor 0.8 --margin 1 --out searched.tum
+  presight localize drive.mcap --map hall.glb --init reference --out answers.tum --mcap answers.mcap
+  presight localize hall.ply --map hall.glb \\
+    --init 12,18,1,0,0,0 --init-sigma 0.3 --init-sigma-deg 8 --out scan.tum";
 
 /// Track a robot through a log: its pose at every frame, with covariance and state
 ///

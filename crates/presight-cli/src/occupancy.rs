@@ -12,9 +12,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
-  presight occupancy hall.presight --out hall.yaml
-  presight occupancy hall.glb --from-height 0.05 --to-height 0.6 --cell 0.02 --out low.yaml
-  presight occupancy house.glb --level 2 --keepout house-keepout.yaml --out house-2.yaml";
+  presight occupancy site.presight --out site.yaml
+  presight occupancy scenes/room.glb --from-height 0.05 --to-height 0.6 --cell 0.02 --out low.yaml
+  presight occupancy hall.glb --level 1 --keepout hall-keepout.yaml --out hall.yaml";
 
 /// Write an occupancy grid of a scene as nav2's map_server reads it: YAML and PGM
 ///

@@ -1,5 +1,6 @@
 //! Poses on the command line.
 
+use super::print;
 use clap::ValueEnum;
 use glam::{DQuat, DVec3};
 use presight::sensor::{self, ExternalPose};
@@ -145,6 +146,7 @@ pub fn parse_pose(text: &str) -> Result<Pose> {
     }
     match numbers[..] {
         [x, y, z, roll, pitch, yaw] => {
+            print::notices(&tools::notice_of_radians(&[roll, pitch, yaw]).map(|notice| format!("{text}: {notice}")));
             Ok(Pose::from_xyz_rpy(DVec3::new(x, y, z), roll.to_radians(), pitch.to_radians(), yaw.to_radians()))
         }
         [x, y, z, qx, qy, qz, qw] => Pose::new(DVec3::new(x, y, z), DQuat::from_xyzw(qx, qy, qz, qw)),

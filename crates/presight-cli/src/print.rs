@@ -2,8 +2,9 @@
 
 use super::flags;
 use super::series::SeriesProgress;
+use glam::DVec3;
 use presight::tools::{self, clipped, printable};
-use presight::{Error, ErrorKind, Result};
+use presight::{Error, ErrorKind, Result, Scene};
 use std::collections::BTreeSet;
 use std::io::{self, Write};
 use std::sync::{Mutex, PoisonError};
@@ -51,6 +52,11 @@ pub fn finished_before(progress: &SeriesProgress, count: usize) {
         let finished = progress.finished();
         message(&format!("note: {finished} of {count} poses are already finished; continuing with the rest"));
     }
+}
+
+/// Prints a notice if poses are farther outside of a model than it is large.
+pub fn far_outside(scene: &Scene, positions: impl IntoIterator<Item = DVec3>) {
+    notices(&tools::poses_far_outside(&scene.world.environment().bounds(), positions));
 }
 
 /// Prints notices, one line each. A notice that this process has printed is not printed again: most of a series would

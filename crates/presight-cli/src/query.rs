@@ -16,10 +16,10 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
-  presight query hall.presight --box 2,1,0,4,3,2
-  presight query hall.presight --along way.json --pose 3,2,0,0,0,90 --json
-  presight query hall.presight --free 4.2,1.0,0.5
-  presight query hall.presight --path 1,1,0 8,4,0 --radius 0.4 --blocked run.jsonl
+  presight query site.presight --box 2,1,0,4,3,2
+  presight query site.presight --along way.json --pose 3,2,1,0,0,90 --json
+  presight query site.presight --free 4.2,1.0,0.5
+  presight query site.presight --path 0.7,0.8,0 4.4,3.6,0 --radius 0.25  # from x,y,z to x,y,z
   presight query scenes/docking.rhai --docks";
 
 /// Ask a model for objects in a place, docks, uncertain features, the nearest surface, or a path
@@ -110,6 +110,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let question = Question::of(args)?;
     let scene = open_scene(&args.store, &ImportOptions::default(), IndexKind::default())?;
+    print::far_outside(&scene, question.positions());
     let (value, lines) = question.answer(&scene.world)?;
     if args.json {
         print::data(&format!("{value:#}\n"))?
@@ -135,6 +136,18 @@ fn numbers<const N: usize>(flag: &str, text: &str) -> Result<[f64; N]> {
 }
 
 impl Question {
+    /// The positions that it names.
+    fn positions(&self) -> Vec<DVec3> {
+        match self {
+            Self::Objects(Place::Box(place)) => vec![(place.min + place.max) / 2.0],
+            Self::Objects(Place::Sphere { center, .. }) => vec![*center],
+            Self::Objects(Place::Along(_, robot)) => vec![robot.world_from_robot().translation],
+            Self::Free(place) => vec![*place],
+            Self::Way(from, to, ..) => vec![*from, *to],
+            Self::Docks(_) | Self::Uncertain(_) => Vec::new(),
+        }
+    }
+
     fn of(args: &Args) -> Result<Self> {
         if let Some(text) = &args.in_box {
             let [a, b, c, d, e, f] = numbers("--box", text)?;

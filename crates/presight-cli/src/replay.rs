@@ -27,10 +27,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
-  presight replay livingroom --map livingroom/livingroom_map.glb --init reference --stride 4 --out flight
-  presight replay run --map hall.glb --init reference --layer edges.json --out drive
-  presight replay drive.mcap --map hall.glb --init unknown --mcap compared.mcap
-  presight replay survey.mcap --map cad.glb --init reference --given --mcap compared.mcap";
+  presight replay livingroom --map scenes/room.glb --sensor camera.toml \\
+    --init reference --out shown
+  presight replay both --map scenes/room.glb --sensor both/sensor.toml --init reference \\
+    --layer edges.json --out seen
+  presight replay drive.mcap --map hall.glb --init reference --mcap compared.mcap
+  presight replay drive.mcap --map hall.glb --init reference --given --mcap given.mcap";
 
 /// Show a drive: an image for each frame, and a page to browse them
 ///

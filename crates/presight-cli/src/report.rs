@@ -17,10 +17,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
-  presight report hall.glb --out study                     index.html, work_precision.csv, report.json
-  presight report hall.glb --out study --quick             less than a minute
-  presight report hall.glb --sensor my-camera.toml --out study
-  presight report --stability --out study                  every engine against 100-digit arithmetic: stability.csv
+  presight report hall.glb --out study                # index.html, work_precision.csv, report.json
+  presight report hall.glb --out study --quick             # less than a minute
+  presight report hall.glb --sensor camera.toml --out study --quick
+  presight report --stability --quick --out stability      # every engine: stability.csv
 
 Exit status: 1 if an exact path differs by more than rounding, or an error exceeds its bound.";
 

@@ -8,7 +8,7 @@ use presight::{Result, preset};
 
 const EXAMPLES: &str = "Examples:
   presight sensors
-  presight sensors video-camera > my-camera.toml     edit it, then pass --sensor my-camera.toml
+  presight sensors video-camera > my-camera.toml     # edit it, then pass --sensor my-camera.toml
   presight sensors camera_info.yaml --rectified > rectified.toml";
 
 /// List the built-in sensors, or print one, or the sensor of a file, as sensor TOML

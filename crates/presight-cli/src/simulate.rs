@@ -4,7 +4,7 @@
 use super::output_bag::OutputBag;
 use super::outputs::OutputFiles;
 use super::sensor_args::SensorArgs;
-use super::{CommandOutcome, open_scene};
+use super::{CommandOutcome, open_scene, print};
 use presight::environment::IndexKind;
 use presight::files::{self, ImportOptions, LogFrame, StampedPose, load_sensor};
 use presight::measured::{Frame, ScanMotion};
@@ -18,13 +18,17 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
-  presight simulate hall.glb --sensor laser-range-camera --poses drive.tum --out run
-  presight localize run/scans.jsonl --map hall.glb --init reference --out run.tum
-  presight simulate hall.glb --sensor laser-scanner --intensities --poses drive.tum --out scans
-  presight localize scans/scans.jsonl --map hall.glb --layer reflectors.json --init reference --out scans.tum
-  presight features hall.glb --class video --out edges.json
-  presight simulate hall.glb --sensor laser.toml --grey video-camera --poses drive.tum --out both
-  presight localize both --map hall.glb --sensor both/sensor.toml --layer edges.json --init reference --out both.tum";
+  presight simulate hall.glb --sensor laser-range-camera --poses drive.tum --out scanned
+  presight localize scanned/scans.jsonl --map hall.glb --init reference --out scanned.tum
+  presight simulate scenes/docking.rhai --sensor laser-scanner --intensities --poses bay.tum \\
+    --out docked
+  presight localize docked/scans.jsonl --map scenes/docking.rhai --own-features --init reference \\
+    --out docked.tum
+  presight features scenes/room.glb --class video --out edges.json
+  presight simulate scenes/room.glb --sensor camera.toml --grey video.toml --poses room.tum \\
+    --out seen
+  presight localize seen --map scenes/room.glb --sensor seen/sensor.toml --layer edges.json \\
+    --init reference --out seen.tum";
 
 /// File name of a scanner's log.
 const SCANS: &str = "scans.jsonl";
@@ -129,6 +133,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let threads = Threads::from(args.threads).started()?;
     let import = ImportOptions { threads: threads.clone(), ..ImportOptions::default() };
     let mut scene = open_scene(&args.scene, &import, IndexKind::default())?;
+    print::far_outside(&scene, poses.iter().map(|p| p.pose.translation));
     let disturbances = Disturbances::default().with_drop_outs(args.drop_outs).with_mixed_pixels(args.mixed_pixels);
     let mut grey = args.grey_simulator(&threads)?;
     let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
@@ -251,7 +256,7 @@ fn write_images(
     pose: &StampedPose,
 ) -> Result<()> {
     let path = out.join("depth").join(files::image_name(pose.time));
-    super::print::notices(&png::write_depth(&path, &images(frame), frame.sensor())?);
+    print::notices(&png::write_depth(&path, &images(frame), frame.sensor())?);
     let Some(grey) = grey else { return Ok(()) };
     let frame = grey.frame(&scene.world, pose.time, &RobotPose::new(pose.pose))?;
     let image = frame.grey().expect("a grey simulator gives grey images");
@@ -295,7 +300,7 @@ impl Args {
     fn grey_simulator(&self, threads: &Threads) -> Result<Option<GreySimulator>> {
         let Some(name) = &self.grey else { return Ok(None) };
         let (camera, notices) = load_sensor(name)?;
-        super::print::notices(&notices);
+        print::notices(&notices);
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads.clone()))?;
         GreySimulator::new(predictor, camera, BLUR, self.grey_noise, self.seed ^ 0x6772_6579).map(Some)
     }

@@ -25,10 +25,12 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 const EXAMPLES: &str = "Examples:
-  presight supervise log --map hall.glb --init reference --corridor way.json --speed 0.5 --out run.jsonl --png way.png
-  presight supervise front=front.jsonl rear=rear.jsonl --robot kurt.toml --map hall.glb \
-    --init reference --corridor way.json --out run.jsonl
-  presight supervise scans.json --map corridor.glb --init reference --corridor way.json --upright --out run.jsonl";
+  presight supervise livingroom --map scenes/room.glb --sensor camera.toml --init reference \\
+    --corridor way.json --speed 0.5 --out free.jsonl --png way.png
+  presight supervise front=front rear=rear --robot kurt.toml --map scenes/room.glb \\
+    --init reference --corridor way.json --out free.jsonl
+  presight supervise scans.json --map corridor.glb --init reference --corridor way.json \\
+    --upright --out free.jsonl";
 
 /// Supervise the path ahead: the cells of a corridor that are free, known, intruded or not seen, and the reason
 ///

@@ -21,10 +21,10 @@ pub struct VirtualArgs {
     #[arg(long, value_name = "FILE.json", requires = "task")]
     pub corridor: Option<PathBuf>,
 
-    /// Height of the floor in the world, for free-floor [default: the robot's origin; without a [mount], the surface
+    /// Height of the floor in the world, for free-floor [default: the robot's origin; without a [mount], the floor
     /// straight below the sensor]
-    #[arg(long, value_name = "Z", requires = "task", allow_negative_numbers = true)]
-    floor_z: Option<f64>,
+    #[arg(long, alias = "floor-z", value_name = "METRES", requires = "task", allow_negative_numbers = true)]
+    floor: Option<f64>,
 
     /// Write the pixels that free-floor marks, white on black
     #[arg(long, value_name = "FILE.png", requires = "task")]
@@ -42,10 +42,10 @@ impl VirtualArgs {
             Ok(())
         };
         only(VirtualSensor::RadarNearest, "corridor", self.corridor.is_some())?;
-        only(VirtualSensor::FreeFloor, "floor-z", self.floor_z.is_some())?;
+        only(VirtualSensor::FreeFloor, "floor", self.floor.is_some())?;
         only(VirtualSensor::FreeFloor, "mask", self.mask.is_some())?;
-        match self.floor_z.filter(|z| !z.is_finite()) {
-            Some(z) => Err(Error::usage(format!("--floor-z {z}"), "give finite metres")),
+        match self.floor.filter(|z| !z.is_finite()) {
+            Some(z) => Err(Error::usage(format!("--floor {z}"), "give finite metres")),
             None => Ok(()),
         }
     }
@@ -80,11 +80,11 @@ impl VirtualArgs {
     ) -> Result<Settings> {
         let corridor = self.corridor.as_deref().map(files::read_corridor).transpose()?;
         let unknown = self.task == Some(VirtualSensor::FreeFloor)
-            && self.floor_z.is_none()
+            && self.floor.is_none()
             && sensor.spec().mount == Pose::IDENTITY;
         let below = unknown.then(|| predictor.floor_below(&scene.world, sensor, pose)).transpose();
         let below = below.map_err(|e| e.at("--virtual"))?;
-        Ok(Settings { floor_z_world: self.floor_z.or(below), corridor })
+        Ok(Settings { floor_z_world: self.floor.or(below), corridor })
     }
 
     /// The virtual sensor's reading; `None` without `--virtual`.

@@ -86,12 +86,7 @@ impl Session {
         let mut body = Body::new(json!({
             "seq": request.seq, "version": self.version, "size": [images.width, images.height],
             "stride": request.stride, "pose": six(&request.pose, &pose),
-            "screen": {
-                "size": screen.size, "mirrored": screen.mirrored,
-                "above": screen.above.map(|(origin, scale)| json!({ "origin": origin, "pixels_per_metre": scale })),
-                "low": screen.scale.low, "high": screen.scale.high, "logarithmic": screen.scale.logarithmic,
-                "ticks": screen.scale.ticks(),
-            },
+            "screen": in_words(&screen),
         }));
         outputs.iter().for_each(|output| add_image(&mut body, images, *output));
         if screen.above.is_some() {
@@ -107,6 +102,21 @@ impl Session {
         }
         body.set("ms", json!(start.elapsed().as_secs_f64() * 1e3));
         Ok(body.answer())
+    }
+
+    /// The measured image, as a frame with the range alone; without arrays if there is none.
+    pub(crate) fn measured(&self) -> Answer {
+        let Some(measured) = &self.options.measured else { return Body::new(json!({})).answer() };
+        let mut images = Images::default();
+        images.prepare(self.sensor.width(), self.sensor.height(), Outputs::of(&[Output::Range]));
+        images.range.copy_from_slice(measured.ranges());
+        let screen = Screen::new(&images, &self.sensor, Output::Range);
+        let mut body = Body::new(json!({ "size": [images.width, images.height], "screen": in_words(&screen) }));
+        add_image(&mut body, &images, Output::Range);
+        if screen.above.is_some() {
+            add_rays(&mut body, self);
+        }
+        body.answer()
     }
 
     fn strokes(&self, screen: &Screen, prediction: &Prediction, sides: &[SeenFeature]) -> Vec<Stroke> {
@@ -193,6 +203,16 @@ impl Session {
 /// The six numbers of a pose. Six given numbers return unchanged, so that the page keeps its bits.
 fn six(given: &[f64], pose: &SensorPose) -> [f64; 6] {
     given.try_into().unwrap_or_else(|_| six_of(pose))
+}
+
+/// How the page draws an image.
+fn in_words(screen: &Screen) -> Value {
+    json!({
+        "size": screen.size, "mirrored": screen.mirrored,
+        "above": screen.above.map(|(origin, scale)| json!({ "origin": origin, "pixels_per_metre": scale })),
+        "low": screen.scale.low, "high": screen.scale.high, "logarithmic": screen.scale.logarithmic,
+        "ticks": screen.scale.ticks(),
+    })
 }
 
 fn add_image(body: &mut Body, images: &Images, output: Output) {

@@ -36,7 +36,7 @@ pub const MAX_CONNECTIONS: usize = 64;
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// The page's files. They hold no data.
-const FILES: [(&str, &str, &str); 11] = [
+const FILES: [(&str, &str, &str); 12] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/icon.svg", "image/svg+xml", include_str!("page/icon.svg")),
     ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
@@ -48,6 +48,7 @@ const FILES: [(&str, &str, &str); 11] = [
     ("/list.js", "text/javascript; charset=utf-8", include_str!("page/list.js")),
     ("/panel.js", "text/javascript; charset=utf-8", include_str!("page/panel.js")),
     ("/plan.js", "text/javascript; charset=utf-8", include_str!("page/plan.js")),
+    ("/views.js", "text/javascript; charset=utf-8", include_str!("page/views.js")),
 ];
 
 /// A server that listens, but does not answer yet.

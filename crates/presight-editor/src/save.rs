@@ -339,7 +339,7 @@ impl Session {
 /// A file of that name in the folder of the layer.
 fn named(path: &Path, name: &str) -> Result<PathBuf> {
     let remedy = "give a plain name that ends in .json; it is written into the layer's folder";
-    let plain = !name.contains(['/', '\\', '\0', ':']) && !name.starts_with('.') && name.len() <= 200;
+    let plain = !name.contains(['/', '\\', '\0', ':']) && !name.starts_with(['.', '-']) && name.len() <= 200;
     if !plain || !name.ends_with(".json") {
         return Err(Error::usage(format!("{name:?} is not a name for a layer file"), remedy));
     }

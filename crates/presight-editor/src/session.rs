@@ -6,6 +6,7 @@ use super::save::{Journal, Target, behind, merging};
 use presight::environment::DEFAULT_TOLERANCE;
 use presight::features::{self, Feature, FeatureLayer, PlacedFeature, PlacedFeatures};
 use presight::files::{self, LayerFile, layer_fields};
+use presight::measured::Frame;
 use presight::predict::free_poses;
 use presight::{Backend, Change, Error, Options, Output, Pose, Predictor, Result, Scene, Sensor, SensorPose, World};
 use presight_pictures::preview_needs;
@@ -27,13 +28,22 @@ pub struct SessionOptions {
     pub layer: Option<PathBuf>,
     /// The folder in which a new layer is written; empty: the current one.
     pub folder: PathBuf,
+    /// A measurement of the sensor, shown beside the predicted image.
+    pub measured: Option<Frame>,
     /// The engine.
     pub engine: Options,
 }
 
 impl Default for SessionOptions {
     fn default() -> Self {
-        Self { command: Vec::new(), pose: None, layer: None, folder: PathBuf::new(), engine: Options::default() }
+        Self {
+            command: Vec::new(),
+            pose: None,
+            layer: None,
+            folder: PathBuf::new(),
+            measured: None,
+            engine: Options::default(),
+        }
     }
 }
 
@@ -153,6 +163,7 @@ impl Session {
             "regions" => parse(body).and_then(|request| self.regions(&request)),
             "why" => parse(body).and_then(|request| self.why(&request)),
             "pick" => parse(body).and_then(|request| self.pick(&request)),
+            "measured" => Ok(self.measured()),
             "plan" => parse(body).and_then(|request| self.plan(&request)),
             "change" | "generate" | "undo" | "redo" | "restore" | "worth" | "save" => {
                 /// The version of any of these requests.
@@ -238,6 +249,7 @@ impl Session {
                 "mount_height": spec.mount.translation.z, "range_max": finite(spec.range_max),
                 "projects": self.sensor.check_projection().is_ok(), "field_of_view": field_of_view(&self.sensor),
             },
+            "measured": self.options.measured.is_some(),
             "outputs": outputs,
             "pose": self.first_pose,
             "command": self.options.command.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" "),

@@ -152,7 +152,13 @@ impl Grid {
                 grid.cells[cell] = Cell::Free;
             }
         }
-        for polygon in &polygons {
+        let heights = grid.heights.iter().copied();
+        let (lowest, highest) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), z| (a.min(z), b.max(z)));
+        let reaches = |polygon: &&Vec<DVec3>| {
+            polygon.iter().any(|p| p.z >= lowest + options.from_height)
+                && polygon.iter().any(|p| p.z <= highest + options.to_height)
+        };
+        for polygon in polygons.iter().filter(reaches) {
             grid.paint(&frame, polygon, options.from_height, |cell| {
                 if *cell == Cell::Unknown {
                     *cell = Cell::Occupied;

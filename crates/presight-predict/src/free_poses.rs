@@ -71,7 +71,7 @@ fn is_surrounded(world: &World, rays: &[DVec3], pose: &Pose, found: &mut QueryRe
     let (at, reach) = (pose.translation, (bounds.max - bounds.min).length());
     let mut hits = |ray: &DVec3| {
         let direction = pose.rotation * *ray;
-        world.polygons_in(&Region::ray(at, direction, reach), found).any(|(object, polygon)| {
+        world.polygons_in(&Region::ray(at, direction, reach), None, found).any(|(object, polygon)| {
             let object = &environment.objects()[object as usize];
             let facing = facings[usize::from(object.mesh.material(polygon))];
             facing.opaque && is_hit(object, polygon, at, direction, facing.one_sided)
@@ -115,23 +115,11 @@ fn is_hit(object: &Object, polygon: u32, at: DVec3, direction: DVec3, one_sided:
     inside && normal.dot(direction) * distance > 0.0 && (!one_sided || distance < 0.0)
 }
 
-/// Distance down to the nearest polygon below a point, metres; `None` if there is none within `reach`.
-pub fn height_above(world: &World, at: DVec3, reach: f64, found: &mut QueryResult) -> Option<f64> {
-    let (environment, down) = (world.environment(), DVec3::NEG_Z);
-    let below = world.polygons_in(&Region::ray(at, down, reach), found).filter_map(|(object, polygon)| {
-        let object = &environment.objects()[object as usize];
-        let corners = corners_from(object, polygon, at);
-        let normal = normal_of(&corners);
-        is_hit(object, polygon, at, down, false).then(|| normal.dot(corners[0]) / normal.dot(down))
-    });
-    below.reduce(f64::min)
-}
-
-/// True if no polygon is nearer than [`FREE_DISTANCE`].
+/// True if no present polygon is nearer than [`FREE_DISTANCE`].
 pub fn is_clear(world: &World, at: DVec3, found: &mut QueryResult) -> bool {
     let environment = world.environment();
     world
-        .polygons_in(&Region::ball(at, FREE_DISTANCE), found)
+        .polygons_in(&Region::ball(at, FREE_DISTANCE), None, found)
         .all(|(object, polygon)| distance(&environment.objects()[object as usize], polygon, at) >= FREE_DISTANCE)
 }
 

@@ -90,6 +90,11 @@ pub fn without_mark(mut text: String) -> String {
     text
 }
 
+/// The name of a file in its folder.
+pub(crate) fn file_name(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -3,6 +3,7 @@
 use super::text::{from_settings, read_settings, toml_from_str};
 use super::{beams, camera_info, sensor_toml};
 use presight_model::error::{Error, Result};
+use presight_model::plausible;
 use presight_model::printable::did_you_mean;
 use presight_model::sensor::{Geometry, PRESETS, RayTable, Sensor, SensorSpec};
 use serde::Deserialize;
@@ -79,10 +80,12 @@ pub fn load_sensor_with(arg: &str, options: SensorOptions) -> Result<(Sensor, Ve
         return Err(Error::usage(what, "give a camera_info, or drop `rectified: true`"));
     }
     let is_preset = PRESETS.iter().any(|p| p.name == arg);
-    let (spec, notices) =
+    let (spec, mut notices) =
         if is_preset { (preset(arg)?.spec().clone(), Vec::new()) } else { read(path, part, arg, rectified)? };
     let spec = if destagger { destaggered(spec, arg)? } else { spec };
     let sensor = Sensor::new(spec).map_err(|e| if is_preset { e } else { e.in_file(path) })?;
+    let in_file = |notice| format!("{}: {notice}", path.display());
+    notices.extend(plausible::of_sensor(sensor.spec()).into_iter().map(in_file));
     Ok((sensor, notices))
 }
 
@@ -110,12 +113,13 @@ fn read(path: &Path, part: Option<&str>, arg: &str, rectified: bool) -> Result<(
             false => camera_info::parse(text, &name, part, rectified),
         });
     }
-    Err(Error::usage(format!("{arg:?} is neither a preset nor a sensor file"), sensor_remedy()))
+    Err(Error::usage(format!("{arg:?} is neither a preset nor a sensor file"), sensor_remedy(arg)))
 }
 
 /// How to name a sensor.
-pub(super) fn sensor_remedy() -> String {
-    format!("choose one of {}, or name a file that ends in .toml, .yaml, .yml, .json or .csv", preset_names())
+pub(super) fn sensor_remedy(name: &str) -> String {
+    let alike = did_you_mean(name, PRESETS.iter().map(|p| p.name));
+    format!("{alike}choose one of {}, or name a file that ends in .toml, .yaml, .yml, .json or .csv", preset_names())
 }
 
 /// The part `FROM..TO` of a pattern, seconds.

@@ -93,9 +93,10 @@ impl Entry {
         let options = SensorOptions::default().with_rectified(self.rectified).with_destagger(self.destagger);
         let (sensor, more) = load_sensor_with(&arg, options).map_err(|e| match e.kind() {
             // The name comes from a file, not from the command line, so the file is at fault.
-            ErrorKind::Usage if e.what().contains("neither a preset") => {
-                Error::invalid(format!("{:?} is neither a preset nor a sensor file", self.sensor), sensor_remedy())
-            }
+            ErrorKind::Usage if e.what().contains("neither a preset") => Error::invalid(
+                format!("{:?} is neither a preset nor a sensor file", self.sensor),
+                sensor_remedy(&self.sensor),
+            ),
             ErrorKind::Usage => Error::invalid(e.what(), e.remedy().replace("`rectified: true`", "rectified = true")),
             _ => e,
         })?;

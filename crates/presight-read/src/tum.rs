@@ -43,6 +43,18 @@ pub fn parse(text: &str) -> Result<Vec<StampedPose>> {
     poses_in(text).map(|pose| Ok(pose?.1)).collect()
 }
 
+/// The valid lines of a trajectory, and the errors of the others.
+pub(crate) fn parse_valid(text: &str) -> (Vec<StampedPose>, Vec<Error>) {
+    let (mut poses, mut faults) = (Vec::new(), Vec::new());
+    for pose in poses_in(text) {
+        match pose {
+            Ok((_, pose)) => poses.push(pose),
+            Err(e) => faults.push(e),
+        }
+    }
+    (poses, faults)
+}
+
 fn poses_in(text: &str) -> impl Iterator<Item = Result<(String, StampedPose)>> {
     (1..).zip(text.lines()).filter_map(|(number, line)| pose_in(line, number).transpose())
 }

@@ -9,6 +9,7 @@ use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
 use presight_model::index::IndexKind;
 use presight_model::limits;
+use presight_model::printable::did_you_mean;
 use presight_model::world::World;
 use presight_read::layer::from_fields;
 use presight_read::text::check_name;
@@ -203,7 +204,9 @@ impl<'a> Context<'a> {
             None if fields.material.is_none() => materials.number_of(&Material::named(name), before)?,
             None => {
                 let what = format!("there is no material {name:?}");
-                return Err(Error::invalid(what, "add it with {\"op\":\"add_material\",\"name\":..} first"));
+                let alike = did_you_mean(name, materials.names());
+                let remedy = format!("{alike}add it with {{\"op\":\"add_material\",\"name\":..}} first");
+                return Err(Error::invalid(what, remedy));
             }
         };
         let vertices: Vec<Vec3> = fields.vertices.iter().flatten().map(|v| DVec3::from_array(*v).as_vec3()).collect();

@@ -5,6 +5,7 @@ use super::op::{Op, Was};
 use super::unique::UniqueKeys;
 use presight_model::error::{Error, Result};
 use presight_model::placement;
+use presight_model::printable::did_you_mean;
 use presight_model::world::World;
 use presight_read::text::check_json_memory;
 use serde_json::Value;
@@ -19,12 +20,20 @@ pub(super) struct Line {
     pub op: Op,
 }
 
+/// The suggestion for a fault of the form "unknown variant `a`, expected one of `b`, `c`".
+fn alike_variant(what: &str) -> String {
+    let mut quoted = what.split('`').skip(1).step_by(2);
+    let word = quoted.next().filter(|_| what.starts_with("unknown variant"));
+    word.map_or(String::new(), |word| did_you_mean(word, quoted))
+}
+
 impl Line {
     pub fn parse(line: &str) -> Result<Self> {
         let wrong = |e: serde_json::Error| {
             let what = e.to_string();
             let what = what.split(" at line ").next().unwrap_or(&what).to_owned();
-            Error::invalid(what, "the help of presight env apply lists the changes").caused_by(e)
+            let alike = alike_variant(&what);
+            Error::invalid(what, format!("{alike}the help of presight env apply lists the changes")).caused_by(e)
         };
         check_json_memory(line)?;
         let UniqueKeys(mut value) = serde_json::from_str(line).map_err(wrong)?;

@@ -23,6 +23,11 @@ impl<'a> Materials<'a> {
         self.present.iter().chain(self.added.iter())
     }
 
+    /// The names of all materials.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.all().map(|m| m.name.as_str())
+    }
+
     /// Returns the last material with this name.
     pub fn named(&self, name: &str) -> Option<u16> {
         let found = self.all().zip(0..).filter(|(m, _)| m.name == name).last();

@@ -8,12 +8,13 @@
 use glam::DVec3;
 use presight_features::{FeatureOptions, PlacedFeatures, Vantage, informations};
 use presight_model::error::{Error, Result, short};
+use presight_model::floor::{Footing, Mobility, height_below};
 use presight_model::geometry::{Pose, SensorPose};
 use presight_model::index::QueryResult;
 use presight_model::sensor::Sensor;
 use presight_model::world::World;
 use presight_model::{limits, memory};
-use presight_predict::free_poses::{height_above, is_clear};
+use presight_predict::free_poses::{FREE_DISTANCE, is_clear};
 use presight_predict::predict::Predictor;
 use presight_predict::request::Request;
 use presight_render::plan::{Output, Outputs};
@@ -67,7 +68,7 @@ pub type Planar = [f64; 6];
 /// The information of each feature that a view shows, with its index.
 pub type View = Vec<(u32, Planar)>;
 
-/// The free places of a grid: clear of polygons, with a floor below the robot.
+/// The free places of a grid: clear of polygons, with a floor all around below the robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
     /// Columns and rows.
@@ -316,12 +317,13 @@ fn grid(world: &World, sensor: &Sensor, options: &WorthOptions) -> Result<Grid> 
     Ok(Grid { size, places: free })
 }
 
-/// True if the nearest polygon below a place is the floor, within a step.
+/// True if the floor at about this height covers the surroundings of a place, and nothing is between them.
 fn stands(world: &World, place: DVec3, floor: f64, found: &mut QueryResult) -> bool {
-    /// Metres.
-    const STEP: f64 = 0.1;
-    let height = place.z - floor;
-    height_above(world, place, height.max(0.0) + STEP, found).is_some_and(|down| (down - height).abs() <= STEP)
+    let mobility = Mobility::default();
+    let below = height_below(world, place, (place.z - floor).max(0.0) + mobility.step, &mobility, found);
+    below.is_some_and(|below| (below - floor).abs() <= mobility.step)
+        && Footing::at(world, place.with_z(floor), FREE_DISTANCE, &mobility, found)
+            .is_some_and(|footing| footing.edge >= FREE_DISTANCE)
 }
 
 fn sum<'a>(all: impl Iterator<Item = &'a Planar>) -> Planar {

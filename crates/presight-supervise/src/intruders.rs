@@ -83,8 +83,7 @@ impl Search<'_> {
         let environment = self.world.environment();
         let class = Some(self.frame.sensor().spec().class.as_str());
         self.world
-            .polygons_in(&Region::cuboid(&Aabb { min: p - within, max: p + within }), found)
-            .filter(|(object, polygon)| !environment.is_absent(*object, *polygon, class))
+            .polygons_in(&Region::cuboid(&Aabb { min: p - within, max: p + within }), class, found)
             .any(|(object, polygon)| distance(&environment.objects()[object as usize], polygon, p) <= within)
     }
 

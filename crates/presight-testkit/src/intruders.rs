@@ -4,11 +4,11 @@ use super::Random;
 use super::scenes::cuboid;
 use glam::{DVec3, Vec3};
 use presight_model::environment::{Environment, Mesh, NewObject};
+use presight_model::floor::{Mobility, height_below};
 use presight_model::geometry::{Pose, PoseCovariance, PoseEstimate, RobotPose};
 use presight_model::index::QueryResult;
 use presight_model::sensor::{Angles, Geometry, Noise, Scanner, Sensor, SensorSpec};
 use presight_model::world::World;
-use presight_predict::free_poses::height_above;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
@@ -114,8 +114,9 @@ pub fn floor_poses(
         let part = DVec3::new(random.unit(), random.unit(), random.unit());
         let at = bounds.min + (bounds.max - bounds.min) * part;
         let yaw = random.uniform(0.0, TAU);
-        let Some(height) = height_above(world, at, bounds.size(), &mut found).filter(|h| *h > 0.3) else { continue };
-        let pose = Pose::from_xyz_rpy(at - DVec3::Z * height, 0.0, 0.0, yaw);
+        let floor = height_below(world, at, bounds.size(), &Mobility::default(), &mut found);
+        let Some(floor) = floor.filter(|floor| at.z - floor > 0.3) else { continue };
+        let pose = Pose::from_xyz_rpy(at.with_z(floor), 0.0, 0.0, yaw);
         if is_wanted(&pose) {
             poses.push(pose);
         }

@@ -341,6 +341,7 @@ class Log:
         base: str | None = None,
         mount: ArrayLike | None = None,
         reflector: float | None = None,
+        skip_bad: bool = False,
     ) -> Log: ...
     @property
     def sensor(self) -> Sensor: ...

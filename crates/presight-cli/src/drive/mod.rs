@@ -8,7 +8,7 @@ mod start;
 
 pub use features::FeatureCounts;
 
-use super::bag_args::BagArgs;
+use super::bag_args::LogArgs;
 use super::outputs::OutputFiles;
 use super::resume::Resumed;
 use super::sensor_args::SensorArgs;
@@ -68,7 +68,7 @@ pub struct Drive {
     image: SensorArgs,
 
     #[command(flatten)]
-    bag: BagArgs,
+    logs: LogArgs,
 
     /// Options of the estimate: of a level scanner of one row on a level floor, of a sensor in any pose, or of scans of
     /// full panoramas of points [default: by the sensor]
@@ -227,7 +227,7 @@ impl Drive {
     }
 
     /// Reads the log without following it. Calls `visit` with each frame, and with its pose and message if the log has
-    /// them. The motion during scans is that of a trajectory, if one is given.
+    /// them. The motion during scans is that of a trajectory, if one is given. Prints the notices of the log.
     ///
     /// # Errors
     /// Errors from reading the log, map and sensor, and from `visit`.
@@ -236,8 +236,24 @@ impl Drive {
         &self,
         scene: &Scene,
         trajectory: Option<&[StampedPose]>,
-        mut visit: impl FnMut(&Scene, &Observation) -> Result<()>,
+        visit: impl FnMut(&Scene, &Observation) -> Result<()>,
     ) -> Result<()> {
+        let log = self.read_again(scene, trajectory, visit)?;
+        self.print_notices(&log);
+        Ok(())
+    }
+
+    /// As [`Drive::read`], for a log that was read before: its notices have been printed.
+    ///
+    /// # Errors
+    /// As [`Drive::read`].
+    #[cfg(any(feature = "ros", feature = "store"))]
+    pub fn read_again(
+        &self,
+        scene: &Scene,
+        trajectory: Option<&[StampedPose]>,
+        mut visit: impl FnMut(&Scene, &Observation) -> Result<()>,
+    ) -> Result<LogFrames> {
         self.check()?;
         let mut log = self.opened()?;
         if let Some(poses) = trajectory {
@@ -246,10 +262,7 @@ impl Drive {
         for observation in self.observations(&mut log, None) {
             visit(scene, &observation?)?;
         }
-        if trajectory.is_some() {
-            self.print_notices(&log);
-        }
-        Ok(())
+        Ok(log)
     }
 
     /// Prints how the readings of the log were interpreted, and which times or motions of its scans are unknown.
@@ -262,18 +275,14 @@ impl Drive {
     fn opened(&self) -> Result<LogFrames> {
         match self.robot.first() {
             Some(first) => self.opened_of(first),
-            None => self.opened_with(&self.log, self.given_sensor()?.as_ref(), &self.bag),
+            None => self.logs.open(&self.log, self.given_sensor()?.as_ref(), &self.odometry()?),
         }
     }
 
     /// Opens the log of a sensor of the robot.
     fn opened_of(&self, of: &RobotLog) -> Result<LogFrames> {
         let sensor = of.sensor.clone().map_or_else(|| self.given_sensor(), |sensor| Ok(Some(sensor)))?;
-        self.opened_with(&of.log, sensor.as_ref(), &self.bag.of_topic(of.topic.clone()))
-    }
-
-    fn opened_with(&self, log: &Path, sensor: Option<&Sensor>, bag: &BagArgs) -> Result<LogFrames> {
-        LogFrames::open_with(log, sensor, &self.odometry()?, &bag.options()?)
+        self.logs.of_topic(of.topic.clone()).open(&of.log, sensor.as_ref(), &self.odometry()?)
     }
 
     fn given_sensor(&self) -> Result<Option<Sensor>> {
@@ -329,6 +338,7 @@ impl Drive {
         let threads = Threads::from(self.threads).started()?;
         let (start, options) = (self.start(&first)?, self.options(first.frame.sensor()));
         let scene = self.scene()?;
+        print::far_outside(&scene, start.iter().map(|robot| robot.world_from_robot().translation));
         let mut grey = self.grey(&measured)?;
         let mut logs_beside = self.logs_beside()?;
         let predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(threads))?;
@@ -344,7 +354,7 @@ impl Drive {
         let mut followed = Followed::default();
         for observation in std::iter::once(Ok(first)).chain(log) {
             let Observation { frame, reference, recorded } = observation?;
-            let grey = grey.as_mut().map(|g| g.next_at(frame.stamp)).transpose()?.flatten();
+            let grey = self.logs.kept(grey.as_mut().and_then(|g| g.next_at(frame.stamp).transpose()).transpose())?;
             let others = logs_beside.iter_mut().filter_map(|log| log.next_at(frame.stamp).transpose());
             let others = others.map(|other| other.and_then(|o| self.thinned(o))).map(|o| o.map(|o| o.frame));
             let mut others = others.collect::<Result<Vec<Frame>>>()?;

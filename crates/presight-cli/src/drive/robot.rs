@@ -26,14 +26,14 @@ impl Drive {
     pub fn of_robot(&self, robot: Option<&Path>, beside: &[String]) -> Result<Self> {
         let mut drive = self.clone();
         let Some(path) = robot else {
-            let topics = self.bag.topics(None)?;
+            let topics = self.logs.bag.topics(None)?;
             if topics.len() > 1 {
                 let sensor = |topic| RobotLog { log: self.log.clone(), sensor: None, topic };
                 drive.robot = topics.into_iter().map(sensor).collect();
             }
             return Ok(drive);
         };
-        let topics = self.bag.topics(Some(1 + beside.len()))?;
+        let topics = self.logs.bag.topics(Some(1 + beside.len()))?;
         let (robot, notices) = load_robot(path)?;
         print::notices(&notices);
         let first = drive.log.to_string_lossy().into_owned();

@@ -25,8 +25,8 @@ const EXAMPLES: &str = "Examples:
     presight env import hall.presight hall.video.layer.json
 
   Move one machine and remove another, both or none. The path of a group moves or removes all its objects:
-    echo '{\"op\":\"group\",\"changes\":[{\"op\":\"move\",\"object\":\"press 1\",\"pose\":[3,1,0,0,0,90]},
-      {\"op\":\"delete_object\",\"object\":\"press 2\"}]}' | tr -d '\\n' | presight env apply hall.presight -
+    echo '{\"op\":\"group\",\"changes\":[{\"op\":\"move\",\"object\":\"forklift1\",\"pose\":[30,18,0,0,0,90]},
+      {\"op\":\"delete_object\",\"object\":\"forklift2\"}]}' | tr -d '\\n' | presight env apply hall.presight -
 
   List all changes, and undo change 1:
     presight env log hall.presight

@@ -17,13 +17,14 @@ use std::time::Instant;
 
 const EXAMPLES: &str = "Examples:
   All edges, corners and planes for a camera, with their counts:
-    presight features hall.glb --class video --out hall.video.layer.json
+    presight features scenes/room.glb --class video --out room.video.layer.json
 
   Only long creases and borders, for a radar:
-    presight features hall.glb --class radar --kinds crease,border --min-length 0.5
+    presight features scenes/room.glb --class radar --kinds crease,border --min-length 0.5
 
   How well the layer determines a camera's pose across the map, and a layer with as few features as necessary:
-    presight features hall.glb --worth --sensor camera.toml --csv worth.csv --png worth.png --thin --out few.layer.json
+    presight features scenes/room.glb --worth --sensor eye.toml --layer room.video.layer.json \\
+      --floor 0 --spacing 2 --csv worth.csv --png worth.png --thin --out few.layer.json
 
   The surface at a pixel, with an entry to paste into a layer:
     presight features pick hall.glb --sensor video-camera --pose 0,0,1.5,0,10,0 --pixel 320,240

@@ -52,17 +52,18 @@ const EXAMPLES: &str = "Examples:
 
   Depth images along a trajectory as one NumPy array of (poses, rows, columns), and a preview of each:
     presight predict hall.glb --sensor realsense-d435 --poses drive.tum \\
-      --outputs depth_z --npy depth.npy --png 'drive/{i:06}.png'
+      --outputs depth_z --npy depth.npy --png 'depth-{i:06}.png'
 
   Scans along a trajectory as a ROS 2 bag for RViz and Foxglove:
     presight predict hall.glb --sensor laser-scanner --poses drive.tum --mcap drive.mcap
 
   A lidar on a robot that drives at 1.5 m/s and turns by 60 degrees/s, and its points put to the end of the scan:
-    presight predict hall.glb --sensor turning.toml --pose 0,0,1,0,0,0 --twist 1.5,0,0,0,0,60 \\
+    presight predict hall.glb --sensor vlp-16-real --pose 0,0,1,0,0,0 --twist 1.5,0,0,0,0,60 \\
       --points scan.ply --deskew 0.1
 
   Timing, and the stages that were skipped:
-    presight predict hall.glb --sensor vlp-16 --pose 0,0,1,0,0,0 --repeat 50 --stats stats.json --explain";
+    presight predict hall.glb --sensor vlp-16 --pose 0,0,1,0,0,0 --repeat 50 \\
+      --stats stats.json --explain";
 
 /// Predict the images of a sensor at a pose
 ///

@@ -46,21 +46,21 @@ impl ComparedBag {
 }
 
 const EXAMPLES: &str = "Examples:
-  PlannedView, then apply:
-    presight update monday.jsonl tuesday.jsonl --map site.presight --init unknown --out found
+  Look at the proposed changes, then apply them:
+    presight update monday.jsonl tuesday.jsonl --map site.presight --init reference --out found
     presight env apply site.presight found/changes.jsonl
 
   With poses from elsewhere, known to 5 mm and 0.1 degrees:
-    presight update run.jsonl --map site.presight --poses run.tum \
-    --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out found
+    presight update monday.jsonl --map site.presight --poses room.tum \\
+      --pose-cov 0.005,0.005,0.005,0.1,0.1,0.1 --out known
 
   New things whose shapes are known, as meshes:
-    presight update run.jsonl --map site.presight --init reference --library pallets \
-    --recognizer \"python3 name.py\" --out found
+    presight update monday.jsonl --map site.presight --init reference --library pallets \\
+      --recognizer \"python3 name.py\" --out named
 
   A robot with two sensors:
-    presight update front=front.jsonl rear=rear.jsonl --robot kurt.toml --map site.presight \
-    --init reference --out found";
+    presight update front=front rear=rear --robot kurt.toml --map site.presight \\
+      --init reference --out pair";
 
 /// Learn what changed: objects that are gone, moved or new, from the logs of drives
 ///
@@ -351,6 +351,7 @@ fn follow_known(
     seen: &mut Seen,
     mut compared: Option<&mut ComparedBag>,
 ) -> Result<()> {
+    print::far_outside(scene, poses.iter().map(|p| p.pose.translation));
     let (mut without, mut with) = (0, 0);
     let mut nearest = (f64::INFINITY, 0.0, 0.0);
     drive.read(scene, Some(poses), |scene, Observation { frame, recorded, .. }| {

@@ -99,7 +99,7 @@ impl Page<'_> {
         for (number, drive) in self.drives.iter().enumerate().filter(|(n, _)| wanted.iter().any(|key| key.drive == *n))
         {
             for drive in drive.each_log() {
-                drive.read(self.scene, None, |_, Observation { frame, .. }| {
+                drive.read_again(self.scene, None, |_, Observation { frame, .. }| {
                     let key = FrameKey::of(number, frame);
                     if wanted.contains(&key) {
                         let moving = self.motions.get(&key).map(|m| frame.clone().with_scan_motion(m.clone()));
@@ -162,7 +162,7 @@ impl Page<'_> {
             if wanted.is_empty() {
                 break;
             }
-            drive.read(self.scene, None, |_, Observation { frame, .. }| {
+            drive.read_again(self.scene, None, |_, Observation { frame, .. }| {
                 let sensor = frame.sensor();
                 if wanted.remove(&*sensor.spec().name) {
                     sensors.insert(sensor.spec().name.clone(), sensor.clone());

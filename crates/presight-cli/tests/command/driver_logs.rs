@@ -358,3 +358,32 @@ fn localization_leaves_out_the_robot() {
         near(&positions(&place, "out.tum"), &[(0.0, [x, 0.0, 1.0])], 1e-3);
     }
 }
+
+/// Every command that follows or reads a log takes `--skip-bad`; one bad line of each kind is planted.
+#[test]
+fn bad_lines_are_left_out_and_named_by_every_command() {
+    let place = Place::new();
+    let header = files::range_log_header(presight::preset("laser-scanner").unwrap().spec());
+    let ranges = vec!["1.5"; 361].join(",");
+    let line = |t: f64| format!(r#"{{"t": {t}, "range": [{ranges}], "reference": [0, 0, 1, 0, 0, 0]}}"#);
+    let short = format!(r#"{{"t": 5, "range": [{}]}}"#, "1.5,1.5");
+    let bad = ["{\"t\": 2, \"ran", "{\"t\": 3}", &short, &line(0.5)];
+    let lines = [&[line(0.0), line(1.0)][..], &bad.map(str::to_owned), &[line(6.0), line(7.0)]].concat();
+    place.write("a.jsonl", format!("{header}\n{}\n", lines.join("\n")).as_bytes());
+    for command in [
+        "localize a.jsonl --map wall.glb --init reference --out a.tum",
+        "replay a.jsonl --map wall.glb --init reference --out shown",
+        "explore a.jsonl --out explored.presight",
+    ] {
+        let ended = place.run(command);
+        assert!(ended.status == Some(1) && ended.stderr.contains("a.jsonl: line 4: "), "{command}: {}", ended.stderr);
+        let _half_written = fs::remove_file(place.path("a.resume"));
+        let kept = place.run(&format!("{command} --skip-bad"));
+        let said = &kept.stderr;
+        assert_eq!(kept.status, Some(0), "{command}: {said}");
+        assert!(said.contains("a.jsonl: 4 of 8 frames are left out: "), "{command}: {said}");
+        for line in ["line 4 (", "line 5 (missing field `range`", "line 6 (2 ranges for 361 rays)", "line 7 ("] {
+            assert!(said.contains(line), "{command}: {line} in {said}");
+        }
+    }
+}

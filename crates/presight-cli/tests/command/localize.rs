@@ -423,22 +423,6 @@ fn depth_folders_carry_odometry() {
     super::check(&place, vec![super::bad(line, 1, &["odometry.txt", "sort the poses by time"])]);
 }
 
-/// The first pair of the examples of `simulate`, with files of the test.
-#[test]
-fn the_first_examples_of_simulate_work() {
-    let place = Place::new();
-    let room = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/room.glb");
-    fs::copy(room, place.path("hall.glb")).unwrap();
-    place.write("drive.tum", b"1 0.3 0.35 1.65 0 0 0.324 0.946\n1.1 0.32 0.35 1.65 0 0 0.324 0.946\n");
-    let help = place.run("simulate --help").stdout;
-    let lines: Vec<&str> = help.lines().filter_map(|l| l.trim().strip_prefix("presight ")).take(2).collect();
-    assert!(lines.len() == 2 && lines[0].starts_with("simulate") && lines[1].starts_with("localize"), "{lines:?}");
-    for line in lines {
-        let done = place.run(line);
-        assert_eq!(done.status, Some(0), "{line}: {}", done.stderr);
-    }
-}
-
 /// A scan that takes longer than the scans are apart is refused, with a remedy that works.
 #[test]
 fn a_turn_longer_than_the_frame_distance_is_refused() {

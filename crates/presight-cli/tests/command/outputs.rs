@@ -87,7 +87,7 @@ fn nothing_named_is_overwritten() {
         (predict("wall.glb", "--png none.png --depth-png dangling.png"), &["--depth-png dangling.png"]),
         (predict("wall.glb", "--png scene.png --depth-png hard.png"), &["--depth-png hard.png"]),
         (predict("wall.glb", "--features f.json --stats f.json"), &["--stats f.json"]),
-        (predict("wall.glb", "--virtual free-floor --floor-z 0 --mask m.png --png m.png"), &["--mask m.png"]),
+        (predict("wall.glb", "--virtual free-floor --floor 0 --mask m.png --png m.png"), &["--mask m.png"]),
         ("compare a.json b.exr --json a.json".into(), &["--json a.json"]),
         ("compare b.exr a.json --json ./a.json".into(), &["--json ./a.json"]),
         ("index wall.glb --poses index.csv --out .".into(), &["index.csv"]),
@@ -229,7 +229,7 @@ fn names_determine_the_format() {
         (predict("wall.glb", "--png a.jpg"), &["; end the name in .png"]),
         (predict("wall.glb", "--depth-png a.exr"), &["; end the name in .png"]),
         (
-            predict("wall.glb", "--virtual free-floor --floor-z 0 --mask a.bmp"),
+            predict("wall.glb", "--virtual free-floor --floor 0 --mask a.bmp"),
             &["--mask a.bmp", "; end the name in .png"],
         ),
         (predict("wall.glb", "--points a.xyz"), &["; end the name in .ply or .pcd"]),

@@ -85,7 +85,7 @@ fn every_virtual_sensor_reports_in_a_line_and_in_a_file() {
 #[test]
 fn no_floor_has_area_zero() {
     let folder = tempfile::tempdir().unwrap();
-    let line = format!("--virtual free-floor --sensor video-camera {POSE} --floor-z -5");
+    let line = format!("--virtual free-floor --sensor video-camera {POSE} --floor -5");
     let (_, stdout, _) = predict(&folder, &line);
     assert!(stdout.starts_with("free-floor: 0.000 m2 of floor"), "{stdout}");
     predict(&folder, &format!("{line} --features f.json"));
@@ -103,8 +103,8 @@ fn wrong_usage_has_a_remedy() {
         ("--virtual docking --sensor laser-scanner", 2, vec!["angle_sigma_deg", "[noise]"]),
         ("--virtual edges --sensor video-camera", 2, vec!["--layer"]),
         ("--virtual radar-lines --sensor microwave-radar-scan --corridor way.json", 2, vec!["radar-nearest"]),
-        ("--virtual radar-nearest --sensor microwave-radar-scan --floor-z 0", 2, vec!["free-floor"]),
-        ("--virtual free-floor --sensor video-camera --floor-z nan", 2, vec!["finite"]),
+        ("--virtual radar-nearest --sensor microwave-radar-scan --floor 0", 2, vec!["free-floor"]),
+        ("--virtual free-floor --sensor video-camera --floor nan", 2, vec!["finite"]),
         ("--sensor video-camera --mask m.png", 2, vec!["--virtual"]),
         (
             "--virtual radar-nearest --sensor microwave-radar-scan --corridor way.json",
@@ -120,5 +120,5 @@ fn wrong_usage_has_a_remedy() {
     // Above the room there is no floor below the sensor.
     let above = "--virtual free-floor --sensor video-camera --pose 500,0,1,0,0,0";
     let (status, _, stderr) = predict(&folder, above);
-    assert!(status == Some(2) && stderr.contains("--floor-z"), "{stderr}");
+    assert!(status == Some(2) && stderr.contains("--floor"), "{stderr}");
 }

@@ -1,6 +1,12 @@
 // The one function by which the page talks to a session: message in, message out. Here by HTTP.
 
-const token = location.hash.slice(1);
+const token = location.hash.slice(1).split('@')[0];
+
+/** The pose in the page's address, behind its token; empty without one. */
+export const poseInAddress = () => location.hash.split('@')[1] ?? '';
+
+/** The address of this page with a pose. @param {string} pose */
+export const addressOf = pose => `#${token}@${pose}`;
 
 /** What the server refuses, with its remedy in the text. */
 export class Refused extends Error {}

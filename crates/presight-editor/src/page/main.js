@@ -6,6 +6,7 @@ import * as panel from './panel.js';
 import * as picture from './picture.js';
 import * as plan from './plan.js';
 import * as poses from './pose.js';
+import * as views from './views.js';
 
 /** @param {string} id */
 const get = id => /** @type {any} */ (document.getElementById(id));
@@ -29,6 +30,8 @@ let selected = new Set();
 /** The pick: what the pixel sees and the features that it offers. @type {any} */
 let pick = null;
 let candidate = 0;
+/** What the sensor measured, if the command was given it. @type {any} */
+let measured = null;
 let seq = 0;
 let dragging = false;
 let slow = false;
@@ -73,6 +76,7 @@ const ask = newest(async (/** @type {{full: boolean}} */ { full }) => {
   if (answer.version !== state.version) await guarded(async () => take(await send('state')));
   frame = answer;
   picture.drawImage(frame, shown);
+  if (measured && (!dragging || shown === 'range')) picture.drawMeasured(measured, frame);
   if (frame.strokes) {
     features = picture.strokes(frame);
     list.show(frame.seen);
@@ -122,6 +126,7 @@ function changed({ keep = false } = {}) {
 }
 
 async function settle() {
+  views.remember(pose);
   await ask({ full: true });
   askRegions();
   explain();
@@ -351,9 +356,12 @@ async function drawPlan() {
 let press = null;
 
 stage.addEventListener('pointerdown', (/** @type {PointerEvent} */ event) => {
-  if (event.button !== 0) return;
+  if (event.button > 2) return;
   stage.setPointerCapture(event.pointerId);
-  press = { x: event.clientX, y: event.clientY, from: picture.place(event), pose, moved: false, many: event.shiftKey };
+  press = {
+    x: event.clientX, y: event.clientY, from: picture.place(event), pose, moved: false, many: event.shiftKey && event.button === 0,
+    how: event.altKey || event.button === 1 ? 'orbit' : event.ctrlKey || event.button === 2 ? 'pan' : 'turn', away: distance(),
+  };
 });
 
 stage.addEventListener('pointermove', (/** @type {PointerEvent} */ event) => {
@@ -372,6 +380,11 @@ stage.addEventListener('pointermove', (/** @type {PointerEvent} */ event) => {
   }
   dragging = true;
   const degrees = Math.min(0.25, view().across / stage.clientWidth);
+  if (press.how === 'orbit') return go(poses.orbited(press.pose, press.away, dx * degrees, -dy * degrees));
+  if (press.how === 'pan') {
+    const metres = press.away * Math.tan(degrees * Math.PI / 180);
+    return go(poses.panned(press.pose, dx * metres, dy * metres));
+  }
   go(poses.turned(press.pose, dx * degrees, -dy * degrees));
 });
 
@@ -381,19 +394,28 @@ const release = (/** @type {PointerEvent} */ event) => {
   press = null;
   band.hidden = true;
   if (moved && many) choose(picture.within(features, from, picture.place(event)));
-  else if (!moved) click(picture.place(event));
+  else if (!moved && event.button === 0) click(picture.place(event));
   if (!dragging) return;
   dragging = false;
   clearTimeout(rest);
   rest = setTimeout(settle, 30);
 };
 stage.addEventListener('pointerup', release);
+stage.addEventListener('contextmenu', (/** @type {Event} */ event) => event.preventDefault());
+stage.addEventListener('mousedown', (/** @type {MouseEvent} */ event) => event.button === 1 && event.preventDefault());
 stage.addEventListener('pointercancel', () => { press = null; dragging = false; band.hidden = true; });
 
 stage.addEventListener('wheel', (/** @type {WheelEvent} */ event) => {
   event.preventDefault();
   go(poses.moved(pose, -Math.sign(event.deltaY) * speed(), 0, 0));
 }, { passive: false });
+
+/** Metres to what the middle of the picture shows, around which the view orbits; a few steps where it shows nothing. */
+function distance() {
+  const { range, size } = frame ?? {};
+  const middle = range?.[Math.floor(size[1] / 2) * size[0] + Math.floor(size[0] / 2)];
+  return Number.isFinite(middle) && middle > 0 ? middle : 20 * speed();
+}
 
 /** Metres of a step: a fiftieth of what the scene spans, 5 cm to 1 m. */
 function speed() {
@@ -541,6 +563,7 @@ function wire() {
   }
   get('make-view').onclick = () => step('generate', { pose });
   get('make-model').onclick = () => step('generate', { pose: null });
+  views.start(state.scene, () => pose, go);
   get('m-pixel-box').hidden = state.sensor.pixel_sigma > 0;
   new ResizeObserver(() => { picture.fit(); drawLines(); }).observe(stage);
 }
@@ -556,6 +579,9 @@ panel.empty();
 await guarded(async () => {
   state = await send('state');
   pose = state.pose;
+  pose = views.asked() ?? pose;
+  if (state.measured) measured = await send('measured');
+  get('measured').hidden = !measured;
   wire();
   // The picture comes first, then the lists.
   const shown = ask({ full: false });

@@ -11,6 +11,7 @@ const canvas = id => /** @type {HTMLCanvasElement} */ (document.getElementById(i
 const image = canvas('image');
 const lines = canvas('lines');
 const bar = canvas('bar');
+const beside = canvas('measured');
 const stage = /** @type {HTMLElement} */ (document.getElementById('stage'));
 
 /** How much a border between polygons darkens, where each 9 x 9 pixels hold this many. @param {Uint32Array} ids @param {number} w @param {number} h */
@@ -47,17 +48,35 @@ export function drawImage(frame, output) {
     fit();
   }
   const colour = colours(output, frame[output], frame.screen);
-  if (frame.screen.above) drawAbove(frame, colour);
-  else drawGrid(frame, colour, W, H);
+  draw(frame, colour, image);
   drawBar(frame.screen, output);
 }
 
-/** @param {any} frame @param {Uint32Array} colour @param {number} W @param {number} H */
-function drawGrid(frame, colour, W, H) {
+/**
+ * Draws the measured ranges in the colours of the predicted ones.
+ * @param {any} measured
+ * @param {any} frame
+ */
+export function drawMeasured(measured, frame) {
+  const screen = frame.screen.above ? frame.screen : measured.screen;
+  [beside.width, beside.height] = screen.size;
+  const scale = frame.range ? { ...frame.screen, size: screen.size } : measured.screen;
+  draw({ ...measured, screen }, colours('range', measured.range, scale), beside);
+}
+
+/** @param {any} frame @param {Uint32Array} colour @param {HTMLCanvasElement} to */
+function draw(frame, colour, to) {
+  if (frame.screen.above) drawAbove(frame, colour, to);
+  else drawGrid(frame, colour, to);
+}
+
+/** @param {any} frame @param {Uint32Array} colour @param {HTMLCanvasElement} to */
+function drawGrid(frame, colour, to) {
+  const [W, H] = [to.width, to.height];
   const [w, h] = frame.size;
   const ids = frame.polygon_id;
   const weight = ids && borders(ids, w, h);
-  const context = /** @type {CanvasRenderingContext2D} */ (image.getContext('2d'));
+  const context = /** @type {CanvasRenderingContext2D} */ (to.getContext('2d'));
   const data = context.createImageData(W, H);
   const out = new Uint32Array(data.data.buffer);
   const columns = new Uint32Array(W);
@@ -83,16 +102,16 @@ function drawGrid(frame, colour, W, H) {
   context.putImageData(data, 0, 0);
 }
 
-/** A scan of one row, from above. @param {any} frame @param {Uint32Array} colour */
-function drawAbove(frame, colour) {
-  const context = /** @type {CanvasRenderingContext2D} */ (image.getContext('2d'));
+/** A scan of one row, from above. @param {any} frame @param {Uint32Array} colour @param {HTMLCanvasElement} to */
+function drawAbove(frame, colour, to) {
+  const context = /** @type {CanvasRenderingContext2D} */ (to.getContext('2d'));
   const { origin: [ox, oy], pixels_per_metre: scale } = frame.screen.above;
   const at = (/** @type {number} */ i) => {
     const r = frame.range[i];
     return Number.isFinite(r) ? [ox - frame.rays[2 * i + 1] * r * scale, oy - frame.rays[2 * i] * r * scale] : null;
   };
   context.fillStyle = `rgb(${MISS.join()})`;
-  context.fillRect(0, 0, image.width, image.height);
+  context.fillRect(0, 0, to.width, to.height);
   const hits = Array.from(frame.range, (_, i) => at(i));
   context.fillStyle = '#39414e';
   context.beginPath();

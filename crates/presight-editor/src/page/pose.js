@@ -42,5 +42,18 @@ export function turned(pose, yaw, pitch) {
   return rounded([pose[0], pose[1], pose[2], pose[3], Math.max(-89.9, Math.min(89.9, pose[4] + pitch)), around]);
 }
 
+/** Turns about the point this far ahead. @param {Pose} pose @param {number} away @param {number} yaw @param {number} pitch */
+export function orbited(pose, away, yaw, pitch) {
+  const next = turned(pose, yaw, pitch);
+  const [before, after] = [axes(pose).forward, axes(next).forward];
+  return rounded([0, 1, 2].map(i => pose[i] + away * (before[i] - after[i])).concat(next.slice(3)));
+}
+
+/** Moves to the left and up along the image. @param {Pose} pose @param {number} left @param {number} up */
+export function panned(pose, left, up) {
+  const { left: l, up: u } = axes(pose);
+  return rounded([0, 1, 2].map(i => pose[i] + left * l[i] + up * u[i]).concat(pose.slice(3)));
+}
+
 /** Tenths of millimetres and thousandths of degrees: what people read. @param {Pose} pose */
 export const rounded = pose => pose.map((x, i) => Math.round(x * (i < 3 ? 1e4 : 1e3)) / (i < 3 ? 1e4 : 1e3));

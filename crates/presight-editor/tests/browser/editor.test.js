@@ -432,3 +432,105 @@ test('a picture of the page for the guides', { skip: !process.env.PRESIGHT_EDITO
   await stop();
 });
 
+
+const where = page => page.inputValue('#pose');
+
+test('the address holds the view: reload keeps it, back and forward go through the views', async () => {
+  const { address, stop } = await start();
+  const page = await open(address);
+  const views = [];
+  for (const key of ['w', '[']) {
+    // Views of one movement share an entry of the history: these are two movements.
+    await page.waitForTimeout(1800);
+    await page.locator('#stage').press(key);
+    await page.waitForFunction(() => window.presight.pose === document.getElementById('pose').value);
+    await page.waitForTimeout(300);
+    views.push(await where(page));
+  }
+  assert.ok(page.url().endsWith(`@${views[1]}`), page.url());
+  await page.reload();
+  await full(page);
+  assert.equal(await where(page), views[1]);
+  await page.goBack();
+  await page.waitForFunction(view => document.getElementById('pose').value === view, views[0]);
+  await page.goForward();
+  await page.waitForFunction(view => document.getElementById('pose').value === view, views[1]);
+  assert.deepEqual(page.faults, []);
+  await page.close();
+  await stop();
+});
+
+test('Alt and drag orbits around what the middle shows, a right drag pans, and a kept view is found again', async () => {
+  const { address, stop } = await start();
+  const page = await open(address);
+  const middle = () => page.evaluate(() => {
+    const { range, size: [w, h] } = window.presight.frame();
+    return range[Math.floor(h / 2) * w + Math.floor(w / 2)];
+  });
+  const box = await page.locator('#stage').boundingBox();
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  const drag = async (dx, dy, options) => {
+    const { full: since } = await page.evaluate(() => window.presight);
+    await page.mouse.move(x, y);
+    await page.mouse.down(options);
+    await page.mouse.move(x + dx, y + dy, { steps: 4 });
+    await page.mouse.up(options);
+    await full(page, since);
+  };
+  const [before, from] = [await middle(), (await where(page)).split(',').map(Number)];
+  await page.keyboard.down('Alt');
+  await drag(20, 0);
+  await page.keyboard.up('Alt');
+  const orbited = (await where(page)).split(',').map(Number);
+  assert.ok(Math.abs(await middle() - before) < 0.02 * before && orbited[5] !== from[5], `${before}: ${orbited}`);
+  await drag(30, 0, { button: 'right' });
+  const panned = (await where(page)).split(',').map(Number);
+  assert.deepEqual(panned.slice(3), orbited.slice(3));
+  assert.ok(Math.hypot(panned[0] - orbited[0], panned[1] - orbited[1]) > 0.05, String(panned));
+  await page.click('#bookmark');
+  await page.locator('#stage').press('w');
+  await page.locator('#views button').click();
+  assert.equal(await where(page), panned.join(','));
+  assert.deepEqual(page.faults, []);
+  await page.close();
+  await stop();
+});
+
+test('the measured image stands beside the predicted one, in its colours', async () => {
+  run('predict', 'room.glb', '--sensor', 'video-camera', '--pose', POSE, '--out', 'measured.exr');
+  const { address, stop } = await start('--measured', 'measured.exr');
+  const page = await open(address);
+  // The measurement is the prediction: away from the borders of polygons, which only a prediction has, all pixels agree.
+  const differ = await page.evaluate(() => {
+    const data = id => {
+      const canvas = document.getElementById(id);
+      return new Uint32Array(canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.buffer);
+    };
+    const [a, b] = [data('image'), data('measured')];
+    return a.length === b.length ? a.filter((pixel, i) => pixel !== b[i]).length / a.length : 1;
+  });
+  assert.ok(differ < 0.2, `${differ} of the pixels differ`);
+  assert.deepEqual(page.faults, []);
+  await page.close();
+  await stop();
+});
+
+test('in a narrow window nothing overlaps and nothing is cut off', async () => {
+  const { address, stop } = await start();
+  const page = await open(address);
+  await page.setViewportSize({ width: 700, height: 900 });
+  const faults = await page.evaluate(() => {
+    const parts = 'header>*,nav>*,#stage,#under>*,#where>*,.keys,#panel,#map-tools>*,#plan,#filters>*,#list,#make>*';
+    const shown = [...document.querySelectorAll(parts)].map(part => [part, part.getBoundingClientRect()]).filter(([, b]) => b.width && b.height);
+    const name = part => part.id || part.textContent;
+    const out = shown.filter(([, b]) => b.left < -1 || b.right > innerWidth + 1).map(([part]) => `${name(part)} is cut off`);
+    shown.forEach(([p, a], i) => shown.slice(i + 1).forEach(([q, b]) => {
+      const across = Math.min(a.right, b.right) - Math.max(a.left, b.left), down = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+      if (across > 1 && down > 1 && !p.contains(q)) out.push(`${name(p)} covers ${name(q)}`);
+    }));
+    return out;
+  });
+  assert.deepEqual(faults, []);
+  await page.close();
+  await stop();
+});

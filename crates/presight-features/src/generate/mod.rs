@@ -38,6 +38,7 @@ use presight_model::environment::{
 };
 use presight_model::error::{Error, Result, short};
 use presight_model::geometry::Aabb;
+use presight_model::printable::did_you_mean;
 use presight_model::threads::parallel;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -70,9 +71,10 @@ impl std::str::FromStr for FeatureKind {
     type Err = Error;
 
     fn from_str(name: &str) -> Result<Self> {
-        let names = Self::ALL.map(Self::name).join(", ");
+        let names = Self::ALL.map(Self::name);
+        let remedy = || format!("{}choose from {}", did_you_mean(name, names), names.join(", "));
         let found = Self::ALL.into_iter().find(|k| k.name() == name);
-        found.ok_or_else(|| Error::usage(format!("unknown kind {name:?}"), format!("choose from {names}")))
+        found.ok_or_else(|| Error::usage(format!("unknown kind {name:?}"), remedy()))
     }
 }
 

@@ -9,6 +9,16 @@ where
     P: Copy + Add<Output = P> + Sub<Output = P> + Mul<f64, Output = P>,
 {
     let mut kept = Vec::with_capacity(corners.len() + 1);
+    half_into(corners, side, &mut kept);
+    kept
+}
+
+/// As [`half`], into memory that cuts share.
+pub(super) fn half_into<P>(corners: &[P], side: impl Fn(P) -> f64, kept: &mut Vec<P>)
+where
+    P: Copy + Add<Output = P> + Sub<Output = P> + Mul<f64, Output = P>,
+{
+    kept.clear();
     for (i, &p) in corners.iter().enumerate() {
         let q = corners[(i + 1) % corners.len()];
         let (a, b) = (side(p), side(q));
@@ -19,7 +29,6 @@ where
             kept.push(p + (q - p) * (a / (a - b)));
         }
     }
-    kept
 }
 
 /// The part of a convex polygon between two heights.

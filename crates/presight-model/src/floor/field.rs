@@ -6,10 +6,13 @@ use super::level::{Level, Levels};
 use super::raster::GridFrame;
 use super::{Facing, Mobility};
 use crate::error::{Error, Result};
+use crate::threads::parallel_or_here;
 use crate::union_find::UnionFind;
 use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 use std::collections::VecDeque;
 use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Maximum number of floors in all cells, which bounds their memory to 2 GB.
 const MAX_SPANS: usize = 50_000_000;
@@ -102,6 +105,29 @@ impl HeightField {
         }
         let all: Vec<Vec<DVec3>> = polygons.iter().map(|corners| frame.local(corners)).collect();
         let floors: Vec<FloorPolygon> = all.iter().filter_map(|corners| floor_polygon(corners, mobility)).collect();
+        let bands = |all: &mut dyn Iterator<Item = Range<usize>>| by_band(frame.height, all);
+        let floors_by_band = bands(&mut floors.iter().map(|floor| frame.rows(&floor.corners)));
+        let all_by_band = bands(&mut all.iter().map(|corners| frame.rows(corners)));
+        let count = AtomicUsize::new(0);
+        let made: Vec<Option<Band<'_>>> = parallel_or_here(|| {
+            let bands = floors_by_band.par_iter().zip(&all_by_band).enumerate().with_max_len(1);
+            let make = |(number, (near, above)): (usize, (&Vec<u32>, &Vec<u32>))| {
+                if count.load(Ordering::Relaxed) > MAX_SPANS {
+                    return None;
+                }
+                let rows = number * BAND..((number + 1) * BAND).min(frame.height);
+                let mut band = Band { frame, options, rows, first: vec![0], spans: Vec::new() };
+                band.add_floors(&floors, near);
+                band.add_obstacles(above.iter().map(|k| all[*k as usize].as_slice()));
+                count.fetch_add(band.spans.len(), Ordering::Relaxed);
+                Some(band)
+            };
+            bands.map(make).collect()
+        });
+        if count.into_inner() > MAX_SPANS {
+            let what = format!("the grid has more than {MAX_SPANS} floors");
+            return Err(Error::invalid(what, "use larger cells"));
+        }
         let mut field = Self {
             frame,
             options: *options,
@@ -110,14 +136,10 @@ impl HeightField {
             roots: Vec::new(),
             levels: Levels::default(),
         };
-        let bands = |all: &mut dyn Iterator<Item = Range<usize>>| by_band(frame.height, all);
-        let floors_by_band = bands(&mut floors.iter().map(|floor| frame.rows(&floor.corners)));
-        let all_by_band = bands(&mut all.iter().map(|corners| frame.rows(corners)));
-        for (band, (near, above)) in floors_by_band.iter().zip(&all_by_band).enumerate() {
-            let rows = band * BAND..((band + 1) * BAND).min(frame.height);
-            let start = field.first.len() - 1;
-            field.add_band(&rows, &floors, near)?;
-            above.iter().for_each(|k| field.add_obstacle(&all[*k as usize], &rows, start));
+        for band in made.into_iter().flatten() {
+            let before = field.spans.len() as u32;
+            field.first.extend(band.first[1..].iter().map(|first| before + first));
+            field.spans.extend(band.spans);
         }
         let mut sets = field.connected();
         field.levels = Levels::new(&field.spans, &mut sets, mobility.step, frame.cell * frame.cell);
@@ -207,18 +229,56 @@ impl HeightField {
         !self.spans[span].is_buried && self.levels.of(self.roots[span]) == Some(level)
     }
 
-    /// Adds the floors of some rows, of the polygons that reach into them.
-    fn add_band(&mut self, rows: &Range<usize>, floors: &[FloorPolygon], near: &[u32]) -> Result<()> {
-        let (frame, width) = (self.frame, self.frame.width);
+    /// Sets of floors with free room above, between which a robot can drive.
+    fn connected(&self) -> UnionFind {
+        let mut sets = UnionFind::new(self.spans.len());
+        let GridFrame { width, height, .. } = self.frame;
+        let step = self.options.mobility.step;
+        for cell in 0..width * height {
+            let neighbours = [
+                ((cell + 1) % width != 0).then_some(cell + 1),
+                (cell + width < width * height).then_some(cell + width),
+            ];
+            for other in neighbours.into_iter().flatten() {
+                for a in self.spans_of(cell).filter(|k| !self.spans[*k].is_buried) {
+                    for b in self.spans_of(other).filter(|k| !self.spans[*k].is_buried) {
+                        let (p, q) = (&self.spans[a], &self.spans[b]);
+                        if p.low - q.high <= step && q.low - p.high <= step {
+                            sets.join(a as u32, b as u32);
+                        }
+                    }
+                }
+            }
+        }
+        sets
+    }
+}
+
+/// Rows that are evaluated together.
+struct Band<'a> {
+    frame: GridFrame,
+    options: &'a FieldOptions,
+    rows: Range<usize>,
+    /// Number of the first floor of each cell of the rows, and the number of all.
+    first: Vec<u32>,
+    spans: Vec<Span>,
+}
+
+impl Band<'_> {
+    /// Adds the floors, of the polygons that reach into the rows.
+    fn add_floors(&mut self, floors: &[FloorPolygon], near: &[u32]) {
+        let (frame, width, rows) = (self.frame, self.frame.width, self.rows.clone());
         let mut last = vec![END; rows.len() * width];
         let mut pieces: Vec<Piece> = Vec::new();
         for &polygon in near {
             let floor = &floors[polygon as usize];
-            frame.strips(&floor.corners, rows, |row, columns, strip| {
+            let is_level = floor.heights.0 == floor.heights.1;
+            frame.strips(&floor.corners, &rows, |row, columns, strip| {
                 let inside = frame.inside(&floor.sides, row, &columns);
                 for column in columns {
                     let covers_all = inside.contains(&column);
                     let (low, high) = match covers_all {
+                        _ if is_level => floor.heights,
                         true => floor.heights_in(&frame.square(column, row)),
                         false => frame.heights_in(strip, column),
                     };
@@ -229,7 +289,7 @@ impl HeightField {
             });
         }
         let mut own: Vec<Piece> = Vec::new();
-        for row in rows.clone() {
+        for row in rows.start..rows.end {
             for column in 0..width {
                 own.clear();
                 let mut next = last[(row - rows.start) * width + column];
@@ -240,12 +300,7 @@ impl HeightField {
                 self.add_cell(&mut own, floors, &frame.square(column, row));
                 self.first.push(self.spans.len() as u32);
             }
-            if self.spans.len() > MAX_SPANS {
-                let what = format!("the grid has more than {MAX_SPANS} floors");
-                return Err(Error::invalid(what, "use larger cells"));
-            }
         }
-        Ok(())
     }
 
     /// Adds the floors of one cell.
@@ -280,44 +335,27 @@ impl HeightField {
         }
     }
 
-    /// Marks the floors of some rows above which a polygon, in metres from the origin, lies. The cells of the rows start
-    /// with the cell `start`.
-    fn add_obstacle(&mut self, corners: &[DVec3], rows: &Range<usize>, start: usize) {
-        debug_assert_eq!(start, rows.start * self.frame.width, "rows follow each other");
-        let FieldOptions { mobility, from_height } = self.options;
-        let (first, spans) = (&self.first, &mut self.spans);
-        self.frame.each_cell(corners, rows, |cell, low, high| {
-            for span in &mut spans[first[cell] as usize..first[cell + 1] as usize] {
-                if low <= span.low + mobility.height {
-                    span.is_blocked |= high >= (span.low + from_height).max(span.high + ABOVE);
-                    span.is_buried |= high >= (span.low + mobility.step).max(span.high + ABOVE);
-                }
+    /// Marks the floors above which polygons, in metres from the origin, lie.
+    fn add_obstacles<'p>(&mut self, polygons: impl Iterator<Item = &'p [DVec3]>) {
+        let FieldOptions { mobility, from_height } = *self.options;
+        let (first, spans, start) = (&self.first, &mut self.spans, self.rows.start * self.frame.width);
+        let lowest = spans.iter().map(|span| span.high).fold(f64::INFINITY, f64::min) + ABOVE;
+        let highest = spans.iter().map(|span| span.low).fold(f64::NEG_INFINITY, f64::max) + mobility.height;
+        for corners in polygons {
+            let (low, high) = heights(corners);
+            if high < lowest || low > highest {
+                continue;
             }
-        });
-    }
-
-    /// Sets of floors with free room above, between which a robot can drive.
-    fn connected(&self) -> UnionFind {
-        let mut sets = UnionFind::new(self.spans.len());
-        let GridFrame { width, height, .. } = self.frame;
-        let step = self.options.mobility.step;
-        for cell in 0..width * height {
-            let neighbours = [
-                ((cell + 1) % width != 0).then_some(cell + 1),
-                (cell + width < width * height).then_some(cell + width),
-            ];
-            for other in neighbours.into_iter().flatten() {
-                for a in self.spans_of(cell).filter(|k| !self.spans[*k].is_buried) {
-                    for b in self.spans_of(other).filter(|k| !self.spans[*k].is_buried) {
-                        let (p, q) = (&self.spans[a], &self.spans[b]);
-                        if p.low - q.high <= step && q.low - p.high <= step {
-                            sets.join(a as u32, b as u32);
-                        }
+            self.frame.each_cell(corners, &self.rows, |cell, low, high| {
+                let cell = cell - start;
+                for span in &mut spans[first[cell] as usize..first[cell + 1] as usize] {
+                    if low <= span.low + mobility.height {
+                        span.is_blocked |= high >= (span.low + from_height).max(span.high + ABOVE);
+                        span.is_buried |= high >= (span.low + mobility.step).max(span.high + ABOVE);
                     }
                 }
-            }
+            });
         }
-        sets
     }
 }
 

@@ -39,9 +39,9 @@ impl Footing {
         let reach = 2.0 * (mobility.step + mobility.rise(radius));
         let bounds = Aabb { min: min.extend(p.z - reach), max: max.extend(p.z + reach) };
         let mut parts: Vec<Part> = Vec::new();
-        for (object, polygon) in world.polygons_in(&Region::cuboid(&bounds), found) {
+        for (object, polygon) in world.polygons_in(&Region::cuboid(&bounds), None, found) {
             let corners = environment.objects()[object as usize].polygon_in_world(polygon);
-            if mobility.facing(&corners).is_none() || environment.is_absent(object, polygon, None) {
+            if mobility.facing(&corners).is_none() {
                 continue;
             }
             // Relative to the place: differences are exact even far from the world's origin.
@@ -68,6 +68,12 @@ impl Footing {
         let edge = rest.iter().map(|piece| distance_from_above(piece, DVec2::ZERO)).fold(f64::INFINITY, f64::min);
         let lowest = parts.iter().map(|part| part.low).fold(height, f64::min);
         Some(Self { height, lowest, edge, parts })
+    }
+
+    /// True if the floor covers a convex outline, counter-clockwise relative to the point, in the square of the radius.
+    pub fn covers(&self, outline: &[DVec2]) -> bool {
+        self.edge == f64::INFINITY
+            || uncovered(outline, self.parts.iter().map(|part| part.outline.as_slice())).is_empty()
     }
 
     /// True if a part of a surface, given by its corners relative to the point (heights in the world), rises above the
@@ -100,20 +106,18 @@ fn group_at(parts: &[Part], height: f64, step: f64) -> std::ops::Range<usize> {
     start..parts.len()
 }
 
-/// Height of the highest surface below a point, metres in the world; `None` if there is none within `reach`. Parts that
-/// are marked as absent for all sensors do not count.
-pub fn height_below(world: &World, at: DVec3, reach: f64, found: &mut QueryResult) -> Option<f64> {
+/// Height of the highest floor below a point, metres in the world: of the highest surface that is level enough; `None`
+/// if there is none within `reach`. Parts that are marked as absent for all sensors do not count.
+pub fn height_below(world: &World, at: DVec3, reach: f64, mobility: &Mobility, found: &mut QueryResult) -> Option<f64> {
     let environment = world.environment();
-    let below = world.polygons_in(&Region::ray(at, DVec3::NEG_Z, reach), found).filter_map(|(object, polygon)| {
-        if environment.is_absent(object, polygon, None) {
-            return None;
-        }
-        let corners = environment.objects()[object as usize].polygon_in_world(polygon);
-        let corners: Vec<DVec3> = corners.into_iter().map(|c| c - at).collect();
-        let outline = from_above(&corners);
-        let inside = super::cut::area(&outline) > 0.0 && distance_from_above(&outline, DVec2::ZERO) == 0.0;
-        let height = inside.then(|| height_at(&corners, DVec2::ZERO))?;
-        (height <= 0.0 && height >= -reach).then_some(at.z + height)
-    });
+    let below =
+        world.polygons_in(&Region::ray(at, DVec3::NEG_Z, reach), None, found).filter_map(|(object, polygon)| {
+            let corners = environment.objects()[object as usize].polygon_in_world(polygon);
+            let corners: Vec<DVec3> = corners.into_iter().map(|c| c - at).collect();
+            mobility.facing(&corners)?;
+            let is_below = distance_from_above(&from_above(&corners), DVec2::ZERO) == 0.0;
+            let height = is_below.then(|| height_at(&corners, DVec2::ZERO))?;
+            (height <= 0.0 && height >= -reach).then_some(at.z + height)
+        });
     below.reduce(f64::max)
 }

@@ -38,6 +38,8 @@ struct Component {
     highest: f64,
     /// Number of cells and sum of heights, by bin.
     bins: HashMap<i64, (usize, f64)>,
+    /// The bin of the latest cells, which mostly follow in one bin, and what they add to it.
+    latest: (i64, (usize, f64)),
 }
 
 impl Component {
@@ -48,11 +50,25 @@ impl Component {
         (self.lowest, self.highest) = (self.lowest.min(span.low), self.highest.max(span.high));
         self.cells += 1;
         self.facing_up += usize::from(span.faces_up);
-        let bin = self.bins.entry((span.high / BIN).round() as i64).or_default();
-        *bin = (bin.0 + 1, bin.1 + span.high);
+        let bin = (span.high / BIN).round() as i64;
+        if bin != self.latest.0 {
+            self.flush();
+            self.latest.0 = bin;
+        }
+        let (count, sum) = &mut self.latest.1;
+        (*count, *sum) = (*count + 1, *sum + span.high);
     }
 
-    fn height(&self) -> f64 {
+    fn flush(&mut self) {
+        let (bin, (count, sum)) = std::mem::take(&mut self.latest);
+        if count > 0 {
+            let own = self.bins.entry(bin).or_default();
+            *own = (own.0 + count, own.1 + sum);
+        }
+    }
+
+    fn height(&mut self) -> f64 {
+        self.flush();
         let most = self.bins.iter().max_by_key(|(bin, (count, _))| (*count, std::cmp::Reverse(**bin)));
         most.map_or(0.0, |(_, (count, sum))| sum / *count as f64)
     }
@@ -90,7 +106,7 @@ impl Levels {
         // Micrometres, so that heights have an order.
         let key = |height: f64| (height * 1e6).round() as i64;
         let mut by_height: BTreeMap<i64, u32> = BTreeMap::new();
-        for (root, component) in by_size {
+        for (root, mut component) in by_size {
             let height = component.height();
             let near = by_height.range(key(height - step)..=key(height + step)).map(|(_, level)| *level).min();
             let area = component.cells as f64 * cell_area;

@@ -1,6 +1,6 @@
 //! Convex polygons on a grid of square cells, row by row.
 
-use super::cut::{half, heights};
+use super::cut::{half_into, heights};
 use glam::{DVec2, DVec3};
 use std::ops::Range;
 
@@ -61,13 +61,14 @@ impl GridFrame {
     ) {
         let own = self.rows(corners);
         let is_one_row = own.len() == 1;
+        let (mut above, mut part) = (Vec::new(), Vec::new());
         for row in own.start.max(rows.start)..own.end.min(rows.end) {
-            let part;
             let strip = if is_one_row {
                 corners
             } else {
                 let (low, high) = (row as f64 * self.cell - TOUCH, (row + 1) as f64 * self.cell + TOUCH);
-                part = half(&half(corners, |p| p.y - low), |p| high - p.y);
+                half_into(corners, |p| p.y - low, &mut above);
+                half_into(&above, |p| high - p.y, &mut part);
                 &part
             };
             let (low, high) =
@@ -100,7 +101,21 @@ impl GridFrame {
     /// Lowest and highest point of a strip in a column, metres.
     pub(super) fn heights_in(&self, strip: &[DVec3], column: usize) -> (f64, f64) {
         let (low, high) = (column as f64 * self.cell - TOUCH, (column + 1) as f64 * self.cell + TOUCH);
-        heights(&half(&half(strip, |p| p.x - low), |p| high - p.x))
+        let mut range = (f64::INFINITY, f64::NEG_INFINITY);
+        let mut add = |z: f64| range = (range.0.min(z), range.1.max(z));
+        // The corners of the part in the column: those of the strip, and those where its sides leave the column.
+        for (k, p) in strip.iter().enumerate() {
+            let q = strip[(k + 1) % strip.len()];
+            if low <= p.x && p.x <= high {
+                add(p.z);
+            }
+            for (a, b) in [(p.x - low, q.x - low), (high - p.x, high - q.x)] {
+                if a * b < 0.0 {
+                    add(p.z + (q.z - p.z) * (a / (a - b)));
+                }
+            }
+        }
+        range
     }
 
     /// The columns of a row whose cells lie wholly inside all sides, given by outward normals and offsets, metres from

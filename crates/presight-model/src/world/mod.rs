@@ -87,16 +87,19 @@ impl World {
         &self.index
     }
 
-    /// Object and polygon of all polygons whose box meets a region. `found` is memory that queries share.
+    /// Object and polygon of the present polygons whose box meets a region: without those that are marked as absent for
+    /// a sensor class; without a class, as absent for all sensors. `found` is memory that queries share.
     #[doc(hidden)]
     pub fn polygons_in<'a>(
         &'a self,
         region: &Region,
+        class: Option<&'a str>,
         found: &'a mut QueryResult,
     ) -> impl Iterator<Item = (u32, u32)> + use<'a> {
         found.clear();
         self.index.query(&self.environment, region, found);
-        found.all().filter_map(move |slot| self.environment.locate(slot))
+        let located = found.all().filter_map(|slot| self.environment.locate(slot));
+        located.filter(move |(object, polygon)| !self.environment.is_absent(*object, *polygon, class))
     }
 
     /// Makes the trees for rays of the meshes of some objects, where there are none; by all threads of a pool if called

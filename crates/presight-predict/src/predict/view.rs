@@ -1,15 +1,14 @@
 //! Access to predictions for virtual sensors.
 
 use super::{Prediction, Predictor};
-use crate::request::Request;
 use crate::virtual_sensors::{View, ViewIds};
-use glam::DVec3;
 use presight_model::environment::Environment;
 use presight_model::error::{Error, Result};
-use presight_model::geometry::{Pose, SensorPose};
-use presight_model::sensor::{Geometry, RayTable, Sensor, SensorSpec};
+use presight_model::floor::{Mobility, height_below};
+use presight_model::geometry::SensorPose;
+use presight_model::index::QueryResult;
+use presight_model::sensor::Sensor;
 use presight_model::world::World;
-use presight_render::plan::{Output, Outputs};
 
 impl<'a> View<'a> {
     /// The view of a prediction in an environment.
@@ -30,8 +29,8 @@ impl<'a> View<'a> {
 }
 
 impl Predictor {
-    /// Returns the world height of the surface directly below a sensor, metres. This is the floor for `free-floor` if
-    /// the sensor's mount does not specify its height above the floor.
+    /// Returns the world height of the floor directly below a sensor, metres: of the highest level surface that is not
+    /// marked as absent. `free-floor` needs it if the sensor's mount does not specify its height above the floor.
     ///
     /// ```
     /// # std::env::set_current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).unwrap();
@@ -45,19 +44,16 @@ impl Predictor {
     /// ```
     ///
     /// # Errors
-    /// [`presight_model::ErrorKind::Usage`] if there is no surface below; the errors of [`Predictor::predict`].
+    /// [`presight_model::ErrorKind::Usage`] if there is no floor below.
     pub fn floor_below(&mut self, world: &World, sensor: &Sensor, pose: &SensorPose) -> Result<f64> {
-        let down = RayTable::new(1, 1, vec![DVec3::NEG_Z])?;
-        let probe = Sensor::new(SensorSpec::new("straight down", &sensor.spec().class, Geometry::Rays(down)))?;
         let place = pose.world_from_sensor().translation;
-        let at = SensorPose::new(Pose { translation: place, ..Pose::IDENTITY });
-        let request = Request::of(Outputs::of(&[Output::Range]));
-        let range = f64::from(self.predict(world, &probe, &at, &request)?.images.range[0]);
-        if !range.is_finite() {
-            let what = format!("sensor {:?} has no [mount], and there is no surface below it", sensor.spec().name);
+        let bounds = world.environment().bounds();
+        let reach = (place.z - bounds.min.z).max(0.0) + 1.0;
+        let floor = height_below(world, place, reach, &Mobility::default(), &mut QueryResult::default());
+        floor.ok_or_else(|| {
+            let what = format!("sensor {:?} has no [mount], and there is no floor below it", sensor.spec().name);
             let remedy = "give `Settings::floor_z_world`, or robot_from_sensor under [mount] in the sensor's file";
-            return Err(Error::usage(what, remedy).at("free-floor"));
-        }
-        Ok(place.z - range)
+            Error::usage(what, remedy).at("free-floor")
+        })
     }
 }

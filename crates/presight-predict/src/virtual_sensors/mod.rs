@@ -46,6 +46,7 @@ pub use view::{View, ViewIds};
 use presight_model::environment::FeatureShape;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
+use presight_model::printable::did_you_mean;
 use presight_model::sensor::{Geometry, Scanner, Sensor};
 use presight_render::plan::{Output, Outputs};
 use serde::Serialize;
@@ -251,8 +252,9 @@ impl std::str::FromStr for VirtualSensor {
 
     fn from_str(name: &str) -> Result<Self> {
         Self::ALL.into_iter().find(|v| v.name() == name).ok_or_else(|| {
-            let names = Self::ALL.map(Self::name).join(", ");
-            Error::usage(format!("unknown virtual sensor {name:?}"), format!("choose from {names}"))
+            let names = Self::ALL.map(Self::name);
+            let remedy = format!("{}choose from {}", did_you_mean(name, names), names.join(", "));
+            Error::usage(format!("unknown virtual sensor {name:?}"), remedy)
         })
     }
 }

@@ -18,6 +18,7 @@
 
 use super::file;
 use super::text::from_text;
+use crate::file::file_name;
 use crate::picture::Picture;
 use crate::tum::StampedPose;
 use glam::{DQuat, DVec3};
@@ -67,7 +68,19 @@ impl DepthFolder {
     /// system refuses.
     pub fn open(folder: &Path, sensor: Option<&Sensor>) -> Result<Self> {
         let is_grey = !folder.join("depth").exists() && folder.join("grey").exists();
-        Self::of_images(folder, sensor, is_grey)
+        Self::of_images(folder, sensor, is_grey, &mut None)
+    }
+
+    /// As [`DepthFolder::open`], without the lines of `poses.txt` and `odometry.txt` that are not valid: notices count
+    /// them.
+    ///
+    /// # Errors
+    /// As [`DepthFolder::open`].
+    pub(crate) fn open_skipping_bad(folder: &Path, sensor: Option<&Sensor>) -> Result<(Self, Vec<String>)> {
+        let is_grey = !folder.join("depth").exists() && folder.join("grey").exists();
+        let mut notices = Some(Vec::new());
+        let log = Self::of_images(folder, sensor, is_grey, &mut notices)?;
+        Ok((log, notices.unwrap_or_default()))
     }
 
     /// Opens the grey images of a folder with depth images; `None` if there are none. `sensor` is the camera that took
@@ -96,7 +109,13 @@ impl DepthFolder {
         }))
     }
 
-    fn of_images(folder: &Path, sensor: Option<&Sensor>, is_grey: bool) -> Result<Self> {
+    /// With `left_out`, lines that are not valid become notices there.
+    fn of_images(
+        folder: &Path,
+        sensor: Option<&Sensor>,
+        is_grey: bool,
+        left_out: &mut Option<Vec<String>>,
+    ) -> Result<Self> {
         let (sensor, unit) = from_text(&folder.join("camera.json"), |text| {
             let (own, unit) = camera(text)?;
             let sensor = sensor.unwrap_or(&own);
@@ -114,9 +133,9 @@ impl DepthFolder {
         })?;
         let images = pngs(&folder.join(if is_grey { "grey" } else { "depth" }))?.into_iter();
         let poses = folder.join("poses.txt");
-        let reference = if poses.exists() { reference(&poses)? } else { Vec::new() };
+        let reference = if poses.exists() { reference(&poses, left_out)? } else { Vec::new() };
         let odometry = folder.join("odometry.txt");
-        let odometry = if odometry.exists() { rising(&odometry)? } else { Vec::new() };
+        let odometry = if odometry.exists() { rising(&odometry, left_out)? } else { Vec::new() };
         Ok(Self { sensor, is_grey, unit, images, count: 0, reference, odometry })
     }
 
@@ -136,6 +155,11 @@ impl DepthFolder {
             }
         }
         Ok(None)
+    }
+
+    /// The file of the next image.
+    pub(crate) fn next_image(&self) -> Option<&Path> {
+        self.images.as_slice().first().map(PathBuf::as_path)
     }
 
     /// The sensor that measured.
@@ -176,9 +200,37 @@ impl DepthFolder {
     }
 }
 
+/// The poses of a file whose text is `prepared` first. With `left_out`, lines that are not valid become a notice there.
+fn trajectory(
+    path: &Path,
+    left_out: &mut Option<Vec<String>>,
+    prepared: impl Fn(&str) -> String,
+) -> Result<Vec<StampedPose>> {
+    let Some(notices) = left_out else { return from_text(path, |text| super::tum::parse(&prepared(text))) };
+    let (poses, faults) = from_text(path, |text| Ok(super::tum::parse_valid(&prepared(text))))?;
+    if let Some(first) = faults.first() {
+        let (line, what) = (first.place().unwrap_or_default(), first.what());
+        let name = file_name(path);
+        notices.push(format!("{name}: {} lines are left out, the first is {line} ({what})", faults.len()));
+    }
+    Ok(poses)
+}
+
 /// The poses of `odometry.txt`.
-fn rising(path: &Path) -> Result<Vec<StampedPose>> {
-    let poses = super::tum::read(path)?;
+fn rising(path: &Path, left_out: &mut Option<Vec<String>>) -> Result<Vec<StampedPose>> {
+    let mut poses = trajectory(path, left_out, str::to_owned)?;
+    if let Some(notices) = left_out {
+        let (count, mut last) = (poses.len(), f64::NEG_INFINITY);
+        poses.retain(|pose| {
+            let rises = pose.time > last;
+            last = last.max(pose.time);
+            rises
+        });
+        let falling = count - poses.len();
+        if falling > 0 {
+            notices.push(format!("{}: {falling} of {count} times fall and are left out", file_name(path)));
+        }
+    }
     match poses.windows(2).find(|pair| !(pair[1].time > pair[0].time)) {
         Some([a, b]) => {
             let what = format!("a time of {} s after one of {} s", b.time, a.time);
@@ -302,10 +354,11 @@ fn camera(text: &str) -> Result<(Sensor, f64)> {
 }
 
 /// Reads poses with optical axes in a y-up world, and converts them to body axes in a z-up world.
-fn reference(path: &Path) -> Result<Vec<StampedPose>> {
+fn reference(path: &Path, left_out: &mut Option<Vec<String>>) -> Result<Vec<StampedPose>> {
     let first_eight = |line: &str| line.split_whitespace().take(8).collect::<Vec<_>>().join(" ");
     let kept = |line: &str| if line.trim_start().starts_with('#') { String::new() } else { first_eight(line) };
-    let mut poses = from_text(path, |text| super::tum::parse(&text.lines().map(kept).collect::<Vec<_>>().join("\n")))?;
+    let prepared = |text: &str| text.lines().map(kept).collect::<Vec<_>>().join("\n");
+    let mut poses = trajectory(path, left_out, prepared)?;
     poses.iter_mut().for_each(|s| s.pose = z_up_from_y_up() * s.pose * optical_from_body());
     Ok(poses)
 }

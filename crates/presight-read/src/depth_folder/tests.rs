@@ -78,3 +78,29 @@ fn written_cameras_and_poses_are_read_again() {
     assert!(image_name(9.0) < image_name(10.0));
     assert!(camera_json(&crate::preset("laser-scanner").unwrap()).is_err());
 }
+
+/// An image that is cut, one that is missing, and a line of the odometry that is no pose.
+#[test]
+fn bad_images_are_left_out_and_named() {
+    use crate::log::{BagOptions, Frames};
+    let folder = folder(CAMERA, &[("0.png", 3, 500), ("1.png", 3, 500), ("3.png", 3, 500)]);
+    let path = |name: &str| folder.path().join("depth").join(name);
+    let whole = std::fs::read(path("1.png")).unwrap();
+    std::fs::write(path("1.png"), &whole[..whole.len() / 2]).unwrap();
+    #[cfg(unix)]
+    std::os::unix::fs::symlink(path("moved away.png"), path("2.png")).unwrap();
+    let odometry = "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0\n2 2 0 0 0 0 0 1\n3 3 0 0 0 0 0 1\n";
+    std::fs::write(folder.path().join("odometry.txt"), odometry).unwrap();
+    let noise = Default::default();
+    let open = Frames::open_skipping_bad(folder.path(), None, &noise, &BagOptions::default());
+    let mut log = open.unwrap();
+    let left: Vec<_> = log.by_ref().map(|o| o.unwrap().frame).collect();
+    assert_eq!(left.iter().map(|f| f.stamp).collect::<Vec<_>>(), [0.0, 3.0]);
+    assert_eq!(left[1].motion.unwrap().previous_from_current.translation.x, 3.0, "the motion goes over the gap");
+    let notices = log.notices().join("\n");
+    assert!(notices.contains("odometry.txt: 1 lines are left out, the first is line 2"), "{notices}");
+    assert!(notices.contains("frames are left out: 1.png ("), "{notices}");
+    assert!(!cfg!(unix) || notices.contains("2 of 4 frames") && notices.contains("2.png ("), "{notices}");
+    let ended = Frames::open(folder.path(), None, &noise).and_then(|log| log.collect::<Result<Vec<_>>>());
+    assert!(ended.is_err(), "without skipping");
+}

@@ -9,7 +9,7 @@
 //! the robot's pose {x, y, yaw} under `robot_pose`, `reference_pose` or `pose_in_model`. Other keys are ignored.
 
 use super::readings::{Reading, with_quoted_words};
-use super::{Log, LogFrame, check_time};
+use super::{Faults, Log, LogFrame, check_time};
 use crate::text::check_json_memory;
 use glam::DVec3;
 use presight_model::error::{Error, Result};
@@ -23,13 +23,16 @@ use std::path::{Path, PathBuf};
 pub struct Document {
     path: PathBuf,
     sensor: Sensor,
-    scans: std::iter::Enumerate<std::vec::IntoIter<Scan>>,
+    scans: std::iter::Enumerate<std::vec::IntoIter<Result<Scan>>>,
     time: Option<f64>,
     ended: bool,
+    faults: Faults,
+    /// The last scan read.
+    index: usize,
 }
 
 #[derive(Deserialize)]
-struct File {
+struct File<S> {
     beams: Option<u32>,
     angle_min: Option<f64>,
     angle_max: Option<f64>,
@@ -41,7 +44,7 @@ struct File {
     stamp: Option<Stamp>,
     sensor_on_robot: Option<Mount>,
     scan: Option<Layout>,
-    scans: Vec<Scan>,
+    scans: Vec<S>,
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -98,24 +101,67 @@ struct Scan {
     valid: Option<String>,
 }
 
+/// A scan, or the fault that makes it unreadable.
+struct MaybeScan(Result<Scan>);
+
+impl<'de> Deserialize<'de> for MaybeScan {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let value = serde_json::Value::deserialize(deserializer)?;
+        let wrong = |e: serde_json::Error| Error::invalid(format!("not a valid scan: {e}"), REMEDY);
+        Ok(Self(Scan::deserialize(value).map_err(wrong)))
+    }
+}
+
+const REMEDY: &str = "give a log: see docs/formats.md";
+
+fn parsed<S: serde::de::DeserializeOwned>(text: &str) -> Result<File<S>> {
+    serde_json::from_str(text)
+        .map_err(|e| Error::invalid(format!("not a valid log: {e}"), REMEDY).at(format!("line {}", e.line().max(1))))
+}
+
+impl<S> File<S> {
+    fn with_scans<T>(self, f: impl FnMut(S) -> T) -> File<T> {
+        let scans = self.scans.into_iter().map(f).collect();
+        let Self { beams, angle_min, angle_max, counter_clockwise, range_min, range_max, range_std, .. } = self;
+        let Self { turn_s, stamp, sensor_on_robot, scan, .. } = self;
+        File {
+            beams,
+            angle_min,
+            angle_max,
+            counter_clockwise,
+            range_min,
+            range_max,
+            range_std,
+            turn_s,
+            stamp,
+            sensor_on_robot,
+            scan,
+            scans,
+        }
+    }
+}
+
 impl Document {
-    pub(super) fn parse(path: &Path, text: Vec<u8>) -> Result<Self> {
+    pub(super) fn parse(path: &Path, text: Vec<u8>, faults: Faults) -> Result<Self> {
         if text.len() as u64 > limits::MAX_LINE_BYTES {
             let what = format!("the document is longer than {} bytes", limits::MAX_LINE_BYTES);
             return Err(Error::invalid(what, "split it, or write it as a log of format 1"));
         }
         let text = String::from_utf8(text).map_err(|_| Error::invalid("it is not UTF-8", "save it as UTF-8 text"))?;
         check_json_memory(&text)?;
-        let file: File = serde_json::from_str(&with_quoted_words(&text)).map_err(|e| {
-            let remedy = "give a log: see docs/formats.md";
-            Error::invalid(format!("not a valid log: {e}"), remedy).at(format!("line {}", e.line().max(1)))
-        })?;
+        let text = with_quoted_words(&text);
+        let file: File<Result<Scan>> = match faults {
+            Faults::End => parsed(&text)?.with_scans(Ok),
+            Faults::Pass => parsed(&text)?.with_scans(|MaybeScan(scan)| scan),
+        };
         let name = path.file_stem().map_or_else(|| "scanner".into(), |s| s.to_string_lossy().into_owned());
         let sensor = spec(&file, name).and_then(Sensor::new)?;
-        Ok(Self { path: path.to_owned(), sensor, scans: file.scans.into_iter().enumerate(), time: None, ended: false })
+        let scans = file.scans.into_iter().enumerate();
+        Ok(Self { path: path.to_owned(), sensor, scans, time: None, ended: false, faults, index: 0 })
     }
 
-    fn read(&mut self, index: usize, scan: Scan) -> Result<LogFrame> {
+    fn read(&mut self, index: usize, scan: Result<Scan>) -> Result<LogFrame> {
+        let scan = scan?;
         let valid = scan.valid.map_or_else(|| vec![b'1'; scan.ranges.len()], String::into_bytes);
         if valid.len() != scan.ranges.len() || !valid.iter().all(|v| matches!(v, b'0' | b'1')) {
             let remedy = "give a digit 0 or 1 for each beam";
@@ -133,7 +179,9 @@ impl Document {
             reference: scan.reference.map(|p| RobotPose::new(planar(p.x, p.y, p.yaw))),
         };
         frame.check(self.sensor.spec())?;
-        check_time(self.time, frame.time)?;
+        if self.faults == Faults::End {
+            check_time(self.time, frame.time)?;
+        }
         self.time = Some(frame.time);
         Ok(frame)
     }
@@ -148,12 +196,17 @@ impl Iterator for Document {
         }
         let (index, scan) = self.scans.next()?;
         let read = self.read(index, scan).map_err(|e| e.at(format!("scan {index}")).in_file(&self.path));
-        self.ended = read.is_err();
+        self.index = index;
+        self.ended = read.is_err() && self.faults == Faults::End;
         Some(read)
     }
 }
 
 impl Log for Document {
+    fn place(&self) -> Option<String> {
+        Some(format!("scan {}", self.index))
+    }
+
     fn sensor(&self) -> &Sensor {
         &self.sensor
     }
@@ -163,7 +216,7 @@ impl Log for Document {
     }
 }
 
-fn spec(file: &File, name: String) -> Result<SensorSpec> {
+fn spec<S>(file: &File<S>, name: String) -> Result<SensorSpec> {
     let missing = |key: &str| {
         Error::invalid(format!("{key} is missing"), "docs/formats.md lists the keys of a document of scans")
     };
@@ -227,7 +280,7 @@ mod tests {
     }
 
     fn parse(angle_max: &str) -> Result<Document> {
-        Document::parse(Path::new("scans.json"), text(angle_max).into_bytes())
+        Document::parse(Path::new("scans.json"), text(angle_max).into_bytes(), Faults::End)
     }
 
     /// Both null and a range marked as not valid mean no reading.
@@ -241,7 +294,7 @@ mod tests {
     #[test]
     fn range_min_is_a_limit() {
         let text = text("1.5").replace("\"range_max\"", "\"range_min\":2.6,\"range_max\"");
-        let document = Document::parse(Path::new("scans.json"), text.into_bytes()).unwrap();
+        let document = Document::parse(Path::new("scans.json"), text.into_bytes(), Faults::End).unwrap();
         assert_eq!((document.sensor.spec().range_min, document.sensor.spec().range_max), (2.6, 8.0));
     }
 
@@ -249,7 +302,8 @@ mod tests {
     #[test]
     fn without_marks_every_range_is_a_reading() {
         let text = text("1.5").replace(r#","valid":"110""#, "");
-        let frame = Document::parse(Path::new("scans.json"), text.into_bytes()).unwrap().next().unwrap().unwrap();
+        let frame =
+            Document::parse(Path::new("scans.json"), text.into_bytes(), Faults::End).unwrap().next().unwrap().unwrap();
         assert!(frame.range[0] == 2.5 && frame.range[1].is_nan() && frame.range[2] == 3.5);
     }
 

@@ -8,12 +8,16 @@ use super::ray_times::TimedSensor;
 use super::readings::Readings;
 use super::scan_motions::{ScanMotions, Source};
 use super::scans::{self, Scans};
+use super::skip_bad::{Chain, SkipBad};
+use super::{Faults, LogFrame};
 use crate::depth_folder::{DepthFolder, pose_at};
+use crate::file::file_name;
 use crate::tum::StampedPose;
+use glam::DVec3;
 use presight_model::error::{Error, Result};
 use presight_model::geometry::{Pose, RobotPose, SensorPose};
 use presight_model::measured::{Frame, Motion, OdometryNoise};
-use presight_model::plausible::FramePeriod;
+use presight_model::plausible::{FramePeriod, Speeds};
 use presight_model::sensor::Sensor;
 use std::path::Path;
 
@@ -56,17 +60,23 @@ pub struct Recorded {
 /// then read ahead.
 pub struct Frames {
     sensor: Sensor,
-    frames: Box<dyn Iterator<Item = Result<Observation>> + Send>,
+    frames: Items,
     /// The next frame, if it was read ahead.
     ahead: Option<Option<Result<Observation>>>,
     motions: ScanMotions,
     ended: bool,
     readings: Readings,
     period: FramePeriod,
+    odometry: Speeds,
+    reference: Speeds,
+    last_reference: Option<DVec3>,
     /// Notices on parts that were left out, and on the motion of scans.
     notices: Notices,
     has_planar_poses: bool,
 }
+
+/// Frames of any kind of log, without the motion during scans.
+type Items = Box<dyn Iterator<Item = Result<Observation>> + Send>;
 
 impl Frames {
     /// Opens a log: a folder of depth or grey images ([`crate::depth_folder`]), a scan or a folder of scans
@@ -100,8 +110,34 @@ impl Frames {
     /// # Errors
     /// Also those of [`BagFrames::open`]; [`presight_model::ErrorKind::Usage`] for choices where the log is no bag.
     pub fn open_with(path: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise, bag: &BagOptions) -> Result<Self> {
+        Self::opened(path, sensor, noise, (bag, Faults::End))
+    }
+
+    /// As [`Frames::open_with`], without frames that cannot be read and frames whose time falls. [`Frames::notices`]
+    /// counts and names them at the end of the log. If no frame is left, the first fault is the last item.
+    ///
+    /// Of two frames in the wrong order, the later one in the log is left out if the frame behind it is after both, and
+    /// the earlier one otherwise. In a bag it is the later one.
+    ///
+    /// # Errors
+    /// As [`Frames::open_with`], for a log without a readable header and for a folder without a readable camera.
+    pub fn open_skipping_bad(
+        path: &Path,
+        sensor: Option<&Sensor>,
+        noise: &OdometryNoise,
+        bag: &BagOptions,
+    ) -> Result<Self> {
+        Self::opened(path, sensor, noise, (bag, Faults::Pass))
+    }
+
+    fn opened(
+        path: &Path,
+        sensor: Option<&Sensor>,
+        noise: &OdometryNoise,
+        (bag, faults): (&BagOptions, Faults),
+    ) -> Result<Self> {
         if is_bag(path) {
-            return Self::of_bag(path, sensor, *noise, bag).map_err(|e| e.in_file(path));
+            return Self::of_bag(path, sensor, *noise, (bag, faults)).map_err(|e| e.in_file(path));
         }
         if !bag.is_default() {
             let what = "topic, base, mount and reflector are for ROS 2 bags, and the log is none";
@@ -109,22 +145,31 @@ impl Frames {
         }
         let opened = match path.is_dir() {
             true if ["camera.json", "depth", "grey"].iter().any(|name| path.join(name).exists()) => {
-                Self::of_folder(path, sensor, *noise)
+                Self::of_folder(path, sensor, *noise, faults)
             }
-            false if !scans::is_scan(path) => Self::of_file(path, sensor, *noise),
-            _ => Self::of_scans(path, sensor),
+            false if !scans::is_scan(path) => Self::of_file(path, sensor, *noise, faults),
+            _ => Self::of_scans(path, sensor, *noise, faults),
         };
         opened.map_err(|e| e.in_file(path))
     }
 
     #[cfg(feature = "ros")]
-    fn of_bag(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise, bag: &BagOptions) -> Result<Self> {
-        let mut frames = BagFrames::open(path, bag, sensor, noise)?;
+    fn of_bag(
+        path: &Path,
+        sensor: Option<&Sensor>,
+        noise: OdometryNoise,
+        (bag, faults): (&BagOptions, Faults),
+    ) -> Result<Self> {
+        let frames = BagFrames::open(path, bag, sensor, noise)?;
+        let notices = Notices::from(frames.notices());
+        let mut frames: Items = match faults {
+            Faults::End => Box::new(frames),
+            Faults::Pass => Box::new(SkipBad::new(frames.placed(), Chain::Stamps, noise, notices.clone())),
+        };
         let Some(first) = frames.next().transpose()? else {
             return Err(Error::invalid("the topic has no messages", "choose another by `BagOptions::topic`"));
         };
         let sensor = first.frame.sensor().clone();
-        let notices = Notices::from(frames.notices());
         let frames = std::iter::once(Ok(first)).chain(frames);
         let mut frames = Self::new(sensor, frames, "NaN", notices);
         frames.motions.own_is_odometry = true;
@@ -132,22 +177,35 @@ impl Frames {
     }
 
     #[cfg(not(feature = "ros"))]
-    fn of_bag(_: &Path, _: Option<&Sensor>, _: OdometryNoise, _: &BagOptions) -> Result<Self> {
+    fn of_bag(_: &Path, _: Option<&Sensor>, _: OdometryNoise, _: (&BagOptions, Faults)) -> Result<Self> {
         Err(crate::not_built("ROS 2 bags", "ros"))
     }
 
-    fn of_scans(path: &Path, sensor: Option<&Sensor>) -> Result<Self> {
-        let mut scans = Scans::open(path, sensor)?;
+    fn of_scans(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise, faults: Faults) -> Result<Self> {
+        let scans = Scans::open(path, sensor)?;
+        let notices = scans.notices();
+        let mut scans: Items = match faults {
+            Faults::End => Box::new(scans),
+            Faults::Pass => Box::new(SkipBad::new(scans.placed(), Chain::Stamps, noise, notices.clone())),
+        };
         // Each scan has its own sensor; the first one represents them.
         let Some(first) = scans.next().transpose()? else {
             return Err(Error::invalid("there is no scan", "give PLY, PCD, CSV or EXR files"));
         };
-        let (sensor, notices) = (first.frame.sensor().clone(), scans.notices());
+        let sensor = first.frame.sensor().clone();
         Ok(Self::new(sensor, std::iter::once(Ok(first)).chain(scans), "NaN or a cell without a point", notices))
     }
 
-    fn of_folder(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise) -> Result<Self> {
-        let log = DepthFolder::open(path, sensor)?;
+    fn of_folder(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise, faults: Faults) -> Result<Self> {
+        let notices = Notices::default();
+        let mut log = match faults {
+            Faults::End => DepthFolder::open(path, sensor)?,
+            Faults::Pass => {
+                let (log, left_out) = DepthFolder::open_skipping_bad(path, sensor)?;
+                left_out.into_iter().for_each(|notice| notices.add(notice));
+                log
+            }
+        };
         let sensor = log.sensor().clone();
         let (known, camera) = (log.reference().to_vec(), sensor.clone());
         let at = move |stamp: f64| {
@@ -156,19 +214,27 @@ impl Frames {
         };
         let odometry = log.odometry().to_vec();
         let mut before = None;
-        let frames = log.map(move |frame| {
+        let mut observed = move |frame: Result<Frame>| {
             let mut frame = frame?;
             let now = pose_at(&odometry, frame.stamp);
             let since = before.zip(now).map(|(before, now): (Pose, Pose)| before.inverse() * now);
             frame.motion = since.map(|motion| Motion::of_odometry(motion, &noise));
             before = now;
             Ok(Observation { reference: at(frame.stamp), frame, recorded: None })
+        };
+        if faults == Faults::End {
+            return Ok(Self::new(sensor, log.map(observed), "65535", notices));
+        }
+        let placed = std::iter::from_fn(move || {
+            let place = log.next_image().map(file_name)?;
+            log.next().map(|frame| (Some(place), observed(frame)))
         });
-        Ok(Self::new(sensor, frames, "65535", Notices::default()))
+        let frames = SkipBad::new(placed, Chain::Stamps, noise, notices.clone());
+        Ok(Self::new(sensor, frames, "65535", notices))
     }
 
-    fn of_file(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise) -> Result<Self> {
-        let log = super::open(path)?;
+    fn of_file(path: &Path, sensor: Option<&Sensor>, noise: OdometryNoise, faults: Faults) -> Result<Self> {
+        let mut log = super::open_with(path, faults)?;
         let has_planar_poses = log.has_planar_poses();
         let own = log.sensor();
         let sensor = sensor.unwrap_or(own).clone();
@@ -183,15 +249,25 @@ impl Frames {
             return Err(Error::usage(what, "give the sensor that measured"));
         }
         let (file, mut used) = (path.to_owned(), TimedSensor::new(sensor.clone()));
-        let frames = log.enumerate().map(move |(index, frame)| {
+        let mut observed = move |index: usize, frame: Result<LogFrame>| {
             let frame = frame?;
             let reference = frame.reference;
             let timed = used.with(frame.times.as_deref());
             let frame = timed.and_then(|sensor| frame.into_frame_of(sensor, &noise));
             let frame = frame.map_err(|e| e.at(format!("frame {index}")).in_file(&file))?;
             Ok(Observation { frame, reference, recorded: None })
+        };
+        let notices = Notices::default();
+        let mut index = 0..;
+        let placed = std::iter::from_fn(move || {
+            let frame = log.next()?;
+            Some((log.place(), observed(index.next()?, frame)))
         });
-        Ok(Self { has_planar_poses, ..Self::new(sensor, frames, "null or NaN", Notices::default()) })
+        let frames: Items = match faults {
+            Faults::End => Box::new(placed.map(|(_, item)| item)),
+            Faults::Pass => Box::new(SkipBad::new(placed, Chain::Frames, noise, notices.clone())),
+        };
+        Ok(Self { has_planar_poses, ..Self::new(sensor, frames, "null or NaN", notices) })
     }
 
     fn new(
@@ -209,6 +285,9 @@ impl Frames {
             ended: false,
             readings,
             period: FramePeriod::default(),
+            odometry: Speeds::default(),
+            reference: Speeds::default(),
+            last_reference: None,
             notices,
             has_planar_poses: false,
         }
@@ -248,9 +327,16 @@ impl Frames {
     }
 
     /// Notices on parts that were left out so far, one that counts the readings by their meaning, unless every reading
-    /// is a distance, and one if the times cannot be seconds.
+    /// is a distance, and others on readings at exactly the maximum range, on times that cannot be seconds and on
+    /// positions that cannot be metres.
     pub fn notices(&self) -> Vec<String> {
-        self.notices.all().into_iter().chain(self.readings.notice()).chain(self.period.notice()).collect()
+        let mut notices = self.notices.all();
+        notices.extend(self.readings.notice());
+        notices.extend(self.readings.notice_at_reach());
+        notices.extend(self.period.notice());
+        notices.extend(self.odometry.notice("the odometry"));
+        notices.extend(self.reference.notice("the reference"));
+        notices
     }
 
     /// The sensor of the first frame. Each scan of points has its own sensor.
@@ -280,6 +366,11 @@ impl Iterator for Frames {
         let now = self.motions.moved(now, ahead);
         self.readings.add(&now.frame);
         self.period.add(now.frame.stamp);
+        let driven = now.frame.motion.map(|motion| motion.previous_from_current.translation.length());
+        self.odometry.add(now.frame.stamp, driven);
+        let here = now.reference.map(|robot| robot.world_from_robot().translation);
+        self.reference.add(now.frame.stamp, here.zip(self.last_reference).map(|(a, b)| a.distance(b)));
+        self.last_reference = here;
         Some(Ok(now))
     }
 }

@@ -20,7 +20,7 @@
 //! - `reference`, optional: world_from_robot, in the same form.
 
 use super::readings::{Reading, with_quoted_words};
-use super::{Log, LogFrame, check_time};
+use super::{Faults, Log, LogFrame, check_time};
 use crate::sensor_toml;
 use crate::text::{FORMAT, check_version, read_line};
 use presight_model::error::{Error, ErrorKind, Result};
@@ -42,6 +42,7 @@ pub struct Lines {
     line: usize,
     time: Option<f64>,
     ended: bool,
+    faults: Faults,
 }
 
 #[derive(serde::Deserialize)]
@@ -128,9 +129,9 @@ fn reading(range: f32) -> String {
 }
 
 impl Lines {
-    pub(super) fn new(path: &Path, reader: BufReader<Take<File>>, first: &str) -> Result<Self> {
+    pub(super) fn new(path: &Path, reader: BufReader<Take<File>>, first: &str, faults: Faults) -> Result<Self> {
         let sensor = read_header(first, path).map_err(|e| e.at("line 1"))?;
-        Ok(Self { path: path.to_owned(), reader, sensor, line: 1, time: None, ended: false })
+        Ok(Self { path: path.to_owned(), reader, sensor, line: 1, time: None, ended: false, faults })
     }
 
     fn read(&mut self) -> Result<Option<LogFrame>> {
@@ -166,7 +167,9 @@ impl Lines {
             reference: pose(reference, "reference")?.map(RobotPose::new),
         };
         frame.check(self.sensor.spec())?;
-        check_time(self.time, frame.time)?;
+        if self.faults == Faults::End {
+            check_time(self.time, frame.time)?;
+        }
         Ok(frame)
     }
 }
@@ -179,12 +182,19 @@ impl Iterator for Lines {
             return None;
         }
         let next = self.read().map_err(|e| e.in_file(&self.path)).transpose();
-        self.ended = !matches!(next, Some(Ok(_)));
+        self.ended = match &next {
+            Some(Err(e)) => self.faults == Faults::End || e.kind() != ErrorKind::Invalid,
+            next => next.is_none(),
+        };
         next
     }
 }
 
 impl Log for Lines {
+    fn place(&self) -> Option<String> {
+        (!self.ended).then(|| format!("line {}", self.line))
+    }
+
     fn sensor(&self) -> &Sensor {
         &self.sensor
     }

@@ -21,6 +21,7 @@ mod ray_times;
 mod readings;
 mod scan_motions;
 pub mod scans;
+mod skip_bad;
 #[cfg(test)]
 mod tests;
 
@@ -162,8 +163,11 @@ fn check_twist(twist: &Twist) -> Result<()> {
     twist.check().and_then(|()| twist.over(1.0).check_as(ErrorKind::Invalid)).map_err(|e| far(e).at("twist"))
 }
 
-/// The frames of one sensor, in the order of time. The first error ends them.
+/// The frames of one sensor, in the order of time. The first error ends them, unless bad frames are skipped.
 pub trait Log: Iterator<Item = Result<LogFrame>> {
+    /// The place of the last frame read, good or bad; `None` if the fault is not that of a single frame.
+    fn place(&self) -> Option<String>;
+
     /// The sensor. Its mount is its pose on the robot.
     fn sensor(&self) -> &Sensor;
 
@@ -180,20 +184,33 @@ pub trait Log: Iterator<Item = Result<LogFrame>> {
 /// [`presight_model::ErrorKind::Unsupported`] for a newer format; [`presight_model::ErrorKind::System`] if the file
 /// cannot be read. A bad frame is reported when it is read.
 pub fn open(path: &Path) -> Result<Box<dyn Log + Send>> {
-    open_unnamed(path).map_err(|e| e.in_file(path))
+    open_with(path, Faults::End)
 }
 
-fn open_unnamed(path: &Path) -> Result<Box<dyn Log + Send>> {
+/// What the faults of single frames do to a log.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Faults {
+    /// The first one ends it.
+    End,
+    /// The log continues, and leaves the order of the times to its reader.
+    Pass,
+}
+
+fn open_with(path: &Path, faults: Faults) -> Result<Box<dyn Log + Send>> {
+    open_unnamed(path, faults).map_err(|e| e.in_file(path))
+}
+
+fn open_unnamed(path: &Path, faults: Faults) -> Result<Box<dyn Log + Send>> {
     let mut reader = BufReader::new(file::open_or_given(path)?);
     let first = read_line(&mut reader, 1)?;
     let first = first.ok_or_else(|| Error::invalid("the log is empty", "give a header, then frames"))?;
     if lines::is_header(&first) {
-        return Ok(Box::new(lines::Lines::new(path, reader, &first)?));
+        return Ok(Box::new(lines::Lines::new(path, reader, &first, faults)?));
     }
     let mut text = first.into_bytes();
     let rest = limits::MAX_LINE_BYTES + 1 - text.len() as u64;
     reader.take(rest).read_to_end(&mut text).map_err(|e| Error::io(path, "read it", e))?;
-    Ok(Box::new(document::Document::parse(path, text)?))
+    Ok(Box::new(document::Document::parse(path, text, faults)?))
 }
 
 /// Reads frame `index` of a log, from 0, and its sensor.

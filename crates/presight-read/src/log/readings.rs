@@ -1,6 +1,7 @@
 //! Readings as drivers send them: how they are written in JSON, and how many of a log were taken as what.
 
 use presight_model::measured::Frame;
+use presight_model::plausible;
 use serde::de::{Deserialize, Deserializer, Error, Unexpected, Visitor};
 use std::fmt;
 
@@ -89,7 +90,10 @@ fn word_length(text: &str) -> usize {
 pub fn notice_of_readings(frame: &Frame) -> Option<String> {
     let mut readings = Readings::new("null or NaN");
     readings.add(frame);
-    readings.notice()
+    match (readings.notice(), readings.notice_at_reach()) {
+        (Some(a), Some(b)) => Some(format!("{a}; {b}")),
+        (a, b) => a.or(b),
+    }
 }
 
 /// Numbers of readings of a log by their interpretation.
@@ -104,12 +108,23 @@ pub struct Readings {
     outside: u64,
     nothing: u64,
     too_near: u64,
+    at_reach: u64,
 }
 
 impl Readings {
     /// No reading yet. `missing_as` is how this kind of log writes that there is no reading.
     pub fn new(missing_as: &'static str) -> Self {
-        Self { missing_as, limits: (0.0, 0.0), all: 0, missing: 0, zero: 0, outside: 0, nothing: 0, too_near: 0 }
+        Self {
+            missing_as,
+            limits: (0.0, 0.0),
+            all: 0,
+            missing: 0,
+            zero: 0,
+            outside: 0,
+            nothing: 0,
+            too_near: 0,
+            at_reach: 0,
+        }
     }
 
     /// Adds the readings of a frame; a grey image has none.
@@ -119,7 +134,7 @@ impl Readings {
         }
         let sensor = frame.sensor();
         self.limits = (sensor.spec().range_min, sensor.spec().range_max);
-        let sensed = frame.measurement().values();
+        let (sensed, reach) = (frame.measurement().values(), self.limits.1 as f32);
         self.all += sensed.len() as u64;
         for (i, (value, range)) in sensed.iter().zip(frame.ranges()).enumerate() {
             let pixel = i as u32;
@@ -128,6 +143,7 @@ impl Readings {
                 f32::INFINITY => self.nothing += 1,
                 f32::NEG_INFINITY => self.too_near += 1,
                 0.0 => self.zero += 1,
+                _ if *range == reach => self.at_reach += 1,
                 // A pixel without a ray has a depth, but no range.
                 _ if range.is_nan() && sensor.ray(pixel % sensor.width(), pixel / sensor.width()).is_some() => {
                     self.outside += 1;
@@ -135,6 +151,11 @@ impl Readings {
                 _ => {}
             }
         }
+    }
+
+    /// The notice on readings at exactly the maximum range.
+    pub fn notice_at_reach(&self) -> Option<String> {
+        plausible::at_reach(self.at_reach, self.all, self.limits.1)
     }
 
     /// One line that counts the readings by their meaning; `None` if every reading is a distance.

@@ -17,9 +17,11 @@
 mod tests;
 
 use super::notices::Notices;
-use super::{Observation, check_time, ray_times};
+use super::skip_bad::Placed;
+use super::{Faults, Observation, check_time, ray_times};
 use crate::cloud::{RaySeconds, ScanStamp};
 use crate::exr::KnownChannel;
+use crate::file::file_name;
 use crate::text::{check_json_memory, from_text};
 use crate::{cloud, exr, sensor_toml};
 use glam::{DQuat, DVec3};
@@ -39,6 +41,7 @@ pub struct Scans {
     time: Option<f64>,
     /// True if the names of the files are their times.
     is_timed: bool,
+    faults: Faults,
     notices: Notices,
 }
 
@@ -64,7 +67,17 @@ impl Scans {
         let poses = if poses.exists() { read_poses(&poses)? } else { HashMap::new() };
         let (is_timed, files) = timed(files);
         let (sensor, notices) = (sensor.cloned(), Notices::default());
-        Ok(Self { files: files.into_iter(), sensor, poses, time: None, is_timed, notices })
+        let faults = Faults::End;
+        Ok(Self { files: files.into_iter(), sensor, poses, time: None, is_timed, faults, notices })
+    }
+
+    /// The scans with the names of their files, also after a bad one.
+    pub(super) fn placed(mut self) -> impl Iterator<Item = Placed> + Send {
+        self.faults = Faults::Pass;
+        std::iter::from_fn(move || {
+            let place = self.files.as_slice().first().map(|(_, path)| file_name(path))?;
+            self.next().map(|item| (Some(place), item))
+        })
     }
 
     /// The notices on the times of points, which grow as frames are read.
@@ -77,7 +90,9 @@ impl Scans {
             "exr" => self.of_image(time, path)?,
             _ => self.of_points(time, path)?,
         };
-        check_time(self.time, frame.stamp)?;
+        if self.faults == Faults::End {
+            check_time(self.time, frame.stamp)?;
+        }
         self.time = Some(frame.stamp);
         let known = self.poses.get(&stem(path)).copied().or(in_file);
         Ok(Observation { reference: known.map(|pose| pose.robot(frame.sensor())), frame, recorded: None })
@@ -137,7 +152,7 @@ impl Iterator for Scans {
     fn next(&mut self) -> Option<Self::Item> {
         let (time, path) = self.files.next()?;
         let read = self.read(time, &path);
-        if read.is_err() {
+        if read.is_err() && self.faults == Faults::End {
             self.files = Vec::new().into_iter();
         }
         Some(read.map_err(|e| e.in_file(&path)))

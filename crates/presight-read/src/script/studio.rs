@@ -15,6 +15,7 @@ use presight_model::geometry::Pose;
 use presight_model::limits;
 use presight_model::memory;
 use presight_model::placement;
+use presight_model::printable::did_you_mean;
 use presight_model::world::World;
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -105,10 +106,11 @@ impl Studio {
             let known: Vec<String> =
                 built.materials.keys().map(|known| shortened(known)).take_while(|known| fits(known)).collect();
             let more = if built.materials.len() > known.len() { ", .." } else { "" };
+            let alike = did_you_mean(name, known.iter().map(String::as_str));
             let name = shortened(name);
             let remedy = match known.is_empty() {
                 true => format!("define it first: material({name:?}, #{{reflection: 0.5}})"),
-                false => format!("define it first, or use one of {}{more}", known.join(", ")),
+                false => format!("{alike}define it first, or use one of {}{more}", known.join(", ")),
             };
             Error::invalid(format!("there is no material {name:?}"), remedy)
         })

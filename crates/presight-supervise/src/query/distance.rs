@@ -48,14 +48,12 @@ pub fn surface_distance(world: &World, p: DVec3) -> Result<Option<NearestSurface
     let mut reach = bounds.distance_squared(p).sqrt() + 0.25;
     let mut found = QueryResult::default();
     loop {
-        found.clear();
-        world.index().query(environment, &Region::cuboid(&Aabb { min: p - reach, max: p + reach }), &mut found);
-        let located = found.all().filter_map(|slot| Some((slot, environment.locate(slot)?)));
-        let each =
-            located.filter(|(_, (o, p))| !environment.is_absent(*o, *p, None)).map(|(slot, (object, polygon))| {
-                let distance = distance(&environment.objects()[object as usize], polygon, p);
-                NearestSurface { distance, object, slot }
-            });
+        let region = Region::cuboid(&Aabb { min: p - reach, max: p + reach });
+        let each = world.polygons_in(&region, None, &mut found).map(|(object, polygon)| {
+            let slot = environment.objects()[object as usize].first_slot + polygon;
+            let distance = distance(&environment.objects()[object as usize], polygon, p);
+            NearestSurface { distance, object, slot }
+        });
         let nearest = each.min_by(|a, b| a.distance.total_cmp(&b.distance));
         // Surfaces outside of the box are farther away.
         if nearest.is_some_and(|n| n.distance <= reach) || reach > farthest {

@@ -39,7 +39,7 @@ impl<'a> Floor<'a> {
     /// The height of the floor below a point; `None` if there is none.
     pub fn height_below(&self, p: DVec3) -> Option<f64> {
         let reach = self.world.environment().bounds().size() + 1.0;
-        height_below(self.world, p + ABOVE * DVec3::Z, reach, &mut QueryResult::default())
+        height_below(self.world, p + ABOVE * DVec3::Z, reach, &self.mobility, &mut QueryResult::default())
     }
 
     /// Maximum change of the height of the floor over a distance, metres.
@@ -80,8 +80,7 @@ impl<'a> Floor<'a> {
             return Some(Obstacle::Seen);
         }
         let environment = self.world.environment();
-        let polygons = self.world.polygons_in(&Region::cuboid(&slab), found);
-        for (object, polygon) in polygons.filter(|(o, p)| !environment.is_absent(*o, *p, None)) {
+        for (object, polygon) in self.world.polygons_in(&Region::cuboid(&slab), None, found) {
             let corners = environment.objects()[object as usize].polygon_in_world(polygon);
             let part: Vec<DVec3> = clipped(corners, &slab).into_iter().map(|c| c - p.extend(0.0)).collect();
             let outline: Vec<DVec2> = part.iter().map(|c| c.truncate()).collect();

@@ -90,7 +90,7 @@ type Found = BTreeMap<u32, (usize, Option<f64>)>;
 
 fn count(world: &World, region: &Region, holds: impl Fn(u32, u32) -> bool) -> Found {
     let mut found = Found::new();
-    for (object, polygon) in world.polygons_in(region, &mut QueryResult::default()) {
+    for (object, polygon) in world.polygons_in(region, None, &mut QueryResult::default()) {
         if holds(object, polygon) {
             found.entry(object).or_default().0 += 1;
         }
@@ -135,7 +135,7 @@ fn along(world: &World, corridor: &Corridor, robot: &RobotPose) -> Result<Found>
     let environment = world.environment();
     let (mut result, mut found) = (QueryResult::default(), Found::new());
     let region = Region::cuboid(&bounds.transformed(&world_from_corridor.to_affine()));
-    for (object, polygon) in world.polygons_in(&region, &mut result) {
+    for (object, polygon) in world.polygons_in(&region, None, &mut result) {
         let corners = environment.objects()[object as usize].polygon_in_world(polygon);
         let corners: Vec<DVec3> = corners.iter().map(|p| corridor_from_world.transform_point(*p)).collect();
         let inside = clipped(corners, &bounds);

@@ -10,10 +10,11 @@ use crate::evidence::voxels::OccupancyThreshold;
 use crate::observe::view::View;
 use glam::{DQuat, DVec3};
 use presight_localize::verdict::body_from_image;
+use presight_model::floor::{Footing, Mobility, height_below};
 use presight_model::geometry::{Aabb, Pose};
 use presight_model::index::QueryResult;
 use presight_model::world::World;
-use presight_predict::free_poses::{height_above, is_clear};
+use presight_predict::free_poses::is_clear;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Distance between neighbouring candidate positions, metres.
@@ -22,9 +23,9 @@ const CELL: f64 = 0.25;
 const MAX_PLACES: usize = 20_000;
 /// Interval between the heights at which the surroundings of a robot must be free, metres.
 const STEP: f64 = 0.4;
-/// Maximum step of the floor between neighbouring positions, metres.
-const KERB: f64 = 0.1;
-/// Minimum distance of a position from new objects, and minimum height of free positions above the floor, metres.
+/// Maximum height of a sensor above its floor, metres.
+const FLOOR_REACH: f64 = 10.0;
+/// Minimum distance of a position from new objects and from missing floor, and minimum height of free positions above the floor, metres.
 const CLEARANCE: f64 = 0.35;
 /// Number of positions that are evaluated with few rays, and of the best of them that are evaluated with all.
 const TRIED: (usize, usize) = (600, 16);
@@ -223,7 +224,8 @@ fn reached(world: &World, from: impl Iterator<Item = DVec3>, blocked: &BTreeSet<
     for p in from {
         // The path itself is free.
         if known.insert(key(p)) {
-            next.push_back((p, height_above(world, p, 10.0, &mut found)));
+            let floor = height_below(world, p, FLOOR_REACH, &Mobility::default(), &mut found);
+            next.push_back((p, floor.map(|floor| p.z - floor)));
         }
     }
     while let Some((p, floor)) = next.pop_front() {
@@ -245,15 +247,20 @@ fn reached(world: &World, from: impl Iterator<Item = DVec3>, blocked: &BTreeSet<
     places
 }
 
-/// The position of a sensor at its usual height above the floor, if a robot can stand there.
-fn sensor_place(world: &World, at: DVec3, floor: Option<f64>, found: &mut QueryResult) -> Option<DVec3> {
-    let here = height_above(world, at, 10.0, found);
-    let (place, lowest) = match (floor, here) {
-        (Some(usual), Some(height)) if (height - usual).abs() <= KERB => {
-            (at + (usual - height) * DVec3::Z, usual - CLEARANCE)
+/// The position of a sensor at its usual height above the floor, if a robot can stand there: on floor all around. `at` is
+/// as high as a neighbouring position. Without a usual height, there is no floor at all.
+fn sensor_place(world: &World, at: DVec3, usual: Option<f64>, found: &mut QueryResult) -> Option<DVec3> {
+    let mobility = Mobility::default();
+    let (place, lowest) = match usual {
+        Some(usual) => {
+            let footing = Footing::at(world, at - usual * DVec3::Z, CLEARANCE, &mobility, found)?;
+            if footing.edge < CLEARANCE {
+                return None;
+            }
+            (at.with_z(footing.height + usual), usual - CLEARANCE)
         }
-        (None, None) => (at, 0.0),
-        _ => return None,
+        None if height_below(world, at, FLOOR_REACH, &mobility, found).is_none() => (at, 0.0),
+        None => return None,
     };
     let steps = (lowest / STEP).max(0.0).floor() as u32;
     (0..=steps).all(|k| is_clear(world, place - f64::from(k) * STEP * DVec3::Z, found)).then_some(place)

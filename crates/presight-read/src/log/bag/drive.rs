@@ -4,6 +4,7 @@ use super::NANO;
 use super::choice::Choice;
 use super::convert::{Converter, body_mount};
 use super::stream::{Info, Stream, has_rectified};
+use crate::log::skip_bad::Placed;
 use crate::log::{BagOptions, Observation};
 use presight_model::error::{Error, Result};
 use presight_model::geometry::Pose;
@@ -20,6 +21,8 @@ pub struct BagFrames {
     path: PathBuf,
     messages: Messages,
     stream: Stream,
+    /// True if the container itself cannot be read on.
+    is_cut: bool,
 }
 
 impl BagFrames {
@@ -74,7 +77,7 @@ impl BagFrames {
         });
         let mut stream = Stream::new(choice, converter, tree, noise);
         stream.info = info;
-        Ok(Self { path: path.to_owned(), messages, stream })
+        Ok(Self { path: path.to_owned(), messages, stream, is_cut: false })
     }
 
     /// The topic, frames and transforms taken from the bag.
@@ -87,6 +90,18 @@ impl BagFrames {
         Arc::clone(&self.stream.converter.notices)
     }
 
+    /// The frames, also after a bad message; its place is its topic with the time of the recorder.
+    pub(in crate::log) fn placed(mut self) -> impl Iterator<Item = Placed> + Send {
+        self.stream.skips_jumps = true;
+        std::iter::from_fn(move || match self.read().transpose()? {
+            Ok(observation) => {
+                let stamp = format!("the stamp {:.6} s", observation.frame.stamp);
+                Some((Some(stamp), Ok(observation)))
+            }
+            Err(e) => Some((e.place().filter(|_| !self.is_cut).map(str::to_owned), Err(e))),
+        })
+    }
+
     fn read(&mut self) -> Result<Option<Observation>> {
         loop {
             if let Some(observation) = self.stream.ready() {
@@ -96,7 +111,7 @@ impl BagFrames {
                 self.stream.report_missing_odometry();
                 return Ok(None);
             }
-            match self.messages.next().transpose()? {
+            match self.messages.next().transpose().inspect_err(|_| self.is_cut = true)? {
                 Some(record) => {
                     let (topic, time) = (Arc::clone(&record.topic), record.log_time_ns as f64 * NANO);
                     let place = |e: Error| e.at(format!("{}, recorded at {time:.6} s", topic.name)).in_file(&self.path);

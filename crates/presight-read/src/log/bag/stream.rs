@@ -16,6 +16,10 @@ use std::collections::VecDeque;
 /// fraction of a second; a robot whose `map` to `odom` comes at 1 Hz makes a scanner of 50 Hz wait for 50 frames.
 const MAX_WAITING: usize = 64;
 
+/// Seconds that a stamp may gain on the recorder's clock between two frames: a simulation ten times as fast as the
+/// clock gains 10 s only over a gap of 11 s.
+const MAX_AHEAD_S: f64 = 10.0;
+
 /// Turns messages into frames in the order of their stamps. Memory does not grow with the number of messages.
 pub(super) struct Stream {
     pub choice: Choice,
@@ -27,6 +31,10 @@ pub(super) struct Stream {
     /// odom_from_base at the last frame.
     before: Option<Pose>,
     last_ns: Option<i64>,
+    /// The recorder's time of the last frame.
+    last_log_ns: i64,
+    /// True if a stamp that jumps ahead is a fault of its frame, as one that falls is.
+    pub skips_jumps: bool,
     count: u64,
     without_motion: u64,
     /// True if no message comes any more.
@@ -62,6 +70,8 @@ impl Stream {
             waiting: VecDeque::new(),
             before: None,
             last_ns: None,
+            last_log_ns: 0,
+            skips_jumps: false,
             count: 0,
             without_motion: 0,
             has_ended: false,
@@ -110,7 +120,8 @@ impl Stream {
             let what = format!("the stamp {:.6} s is not after {:.6} s", stamp as f64 * NANO, last as f64 * NANO);
             return Err(Error::invalid(what, "record with one clock; cut the bag where the clock jumps"));
         }
-        self.last_ns = Some(stamp);
+        self.check_jump(stamp, record.log_time_ns)?;
+        (self.last_ns, self.last_log_ns) = (Some(stamp), record.log_time_ns);
         let info = self.info.as_ref();
         let frame = self.converter.frame(stamp as f64 * NANO, &record.data, info.map(|info| &info.message))?;
         let recorded = Recorded {
@@ -125,6 +136,18 @@ impl Stream {
         };
         self.waiting.push_back(Waiting { frame, recorded });
         Ok(())
+    }
+
+    /// Checks that a stamp is not far ahead of the recorder's clock: every later frame would then be in the past.
+    fn check_jump(&self, stamp: i64, log_time: i64) -> Result<()> {
+        let Some(last) = self.last_ns.filter(|_| self.skips_jumps) else { return Ok(()) };
+        let ahead_s =
+            (stamp.saturating_sub(last)).saturating_sub(log_time.saturating_sub(self.last_log_ns)) as f64 * NANO;
+        if ahead_s <= MAX_AHEAD_S {
+            return Ok(());
+        }
+        let what = format!("the stamp {:.6} s is {ahead_s:.1} s ahead of the recorder's clock", stamp as f64 * NANO);
+        Err(Error::invalid(what, "record with one clock; cut the bag where the clock jumps"))
     }
 
     /// base in a frame of the world at a stamp. `Err` if a sample at or after it may still come.
