@@ -21,7 +21,7 @@ use presight::{Backend, Error, Options, Pose, Predictor, Result, Scene, Threads}
 use presight_pictures::{CorridorPicture, write_corridor};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 const EXAMPLES: &str = "Examples:
@@ -120,8 +120,8 @@ struct Run {
     intruded: usize,
     not_compared: usize,
     first: Option<String>,
-    /// The report that is drawn.
-    shown: Option<Report>,
+    /// The report that is drawn, and the pose of the robot in the world.
+    shown: Option<(Report, Pose)>,
 }
 
 /// Runs the command.
@@ -158,7 +158,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
                 vec![cells, intrusion_markers(&report, origin)]
             })?;
         }
-        run.shown.get_or_insert(report);
+        let pose = sensed.frame.at_one_moment()?.robot(&step.pose).world_from_robot;
+        run.shown.get_or_insert((report, pose));
         Ok(())
     })?;
     #[cfg(feature = "ros")]
@@ -166,8 +167,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let Some(run) = run else { return Ok(CommandOutcome::Done) };
     let Run { supervisor, out, frames, intruded, not_compared, first, shown, .. } = run;
     out.finish()?;
-    if let (Some(path), Some(report)) = (&args.png, &shown) {
-        draw(path, supervisor.cells(), report)?;
+    if let (Some(path), Some((report, pose))) = (&args.png, &shown) {
+        draw(path, &supervisor, report, pose)?;
     }
     let mut lines = vec![format!("{intruded} of {frames} frames show something in the corridor")];
     lines.extend(first);
@@ -210,7 +211,7 @@ impl Run {
             self.first.get_or_insert(line);
         }
         let is_telling = |r: &Report| r.is_compared && !r.intrusions.is_empty();
-        if !self.shown.as_ref().is_some_and(is_telling) {
+        if !self.shown.as_ref().is_some_and(|(report, _)| is_telling(report)) {
             self.shown = None;
         }
         Ok(report)
@@ -333,7 +334,8 @@ fn intrusion_markers(report: &Report, origin: &MessageOrigin) -> Record {
 
 /// Draws the cells from above: each place shows the states of its height side by side, and only the intrusion if there
 /// is one.
-fn draw(path: &std::path::Path, cells: &Cells, report: &Report) -> Result<()> {
+fn draw(path: &Path, supervisor: &Supervisor, report: &Report, world_from_robot: &Pose) -> Result<()> {
+    let cells = supervisor.cells();
     let most = |i: usize| cells.columns.iter().map(|at| at[i] + 1).max().unwrap_or(1);
     let (columns, rows) = (most(0), most(1));
     let mut shares = vec![None; columns as usize * rows as usize];
@@ -349,5 +351,14 @@ fn draw(path: &std::path::Path, cells: &Cells, report: &Report) -> Result<()> {
     }
     let nearest = report.intrusions.first().map_or(String::new(), |i| format!(", first at {:.2} m", i.along));
     let title = format!("{} s: {} intrusions{nearest}", report.stamp, report.intrusions.len());
-    write_corridor(path, &CorridorPicture { title: &title, columns, cells: &shares })
+    let robot = match supervisor.corridor().frame() {
+        CorridorFrame::Robot => Some([0.0; 3]),
+        CorridorFrame::World => report.is_compared.then(|| {
+            let (t, (.., yaw)) = (world_from_robot.translation, world_from_robot.rpy());
+            [t.x, t.y, yaw]
+        }),
+    };
+    let [x, y, _] = cells.origin;
+    let picture = CorridorPicture { title: &title, columns, side: cells.side, origin: [x, y], robot, cells: &shares };
+    write_corridor(path, &picture)
 }

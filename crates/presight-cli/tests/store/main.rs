@@ -1,5 +1,6 @@
 //! The stored environment: its content, its durability, and its refusals.
 
+mod absent;
 mod bad;
 mod beliefs;
 mod command;
