@@ -84,6 +84,22 @@ def test_an_unknown_start_needs_a_level_scanner(room, cpu):
         presight.Localizer(room).step(frame)
 
 
+def test_bad_lines_are_left_out_if_asked(tmp_path):
+    header = {"format": 1, "kind": "range-log", "sensor": presight.Sensor.scanner([0, 1]).toml()}
+    lines = [json.dumps(line) for line in (header, {"t": 0.0, "range": [2, 3]}, {"t": 1.0}, {"t": 2.0, "range": [2, 3]})]
+    (tmp_path / "run.jsonl").write_text("\n".join(lines))
+    with pytest.raises(presight.Error, match="line 3"):
+        presight.Log.open(tmp_path / "run.jsonl")
+    with pytest.warns(presight.Notice, match="1 of 3 frames are left out: line 3"):
+        log = presight.Log.open(tmp_path / "run.jsonl", skip_bad=True)
+    assert log.time.tolist() == [0.0, 2.0]
+
+
+def test_angles_in_radians_are_noted(cpu, room):
+    with pytest.warns(presight.Notice, match="90 degrees in radians"):
+        cpu.predict(room, "laser-scanner", [1, 1.5, 0.5, 0, 0, 1.5708])
+
+
 def test_a_real_log_of_a_corridor(cpu):
     with pytest.warns(presight.Notice):
         log = presight.Log.open(data("lidar2d/malaga_corridor_mapping_scans.json"))

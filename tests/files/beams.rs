@@ -281,7 +281,7 @@ fn faults_in_metadata_are_named() {
     root.as_object_mut().unwrap().remove("beam_to_lidar_transform");
     root["lidar_origin_to_beam_origin_mm"] = 2500.0.into();
     let e = beams::ouster::parse(&root.to_string(), "s").unwrap_err();
-    assert!(e.to_string().contains("lidar_origin_to_beam_origin_mm: [2.5"), "{e}");
+    assert!(e.to_string().contains("lidar_origin_to_beam_origin_mm: a beam leaves the sensor 2500 mm"), "{e}");
 }
 
 /// The driver's arithmetic for a range without distance correction, as `velodyne_pointcloud` has it: rotation in

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   presight compare reference.exr other.exr
-  presight compare reference.exr other.exr --scene hall.glb --json verdict.json";
+  presight compare reference.exr other.exr --scene scenes/room.glb --json verdict.json";
 
 /// Format version of the comparison JSON.
 const FORMAT: u32 = 1;

@@ -11,8 +11,8 @@ use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
   A newer export of the model, with a list of what changed; then as the only source of objects:
-    presight env import hall.presight hall-2.glb --replace
-    presight env import hall.presight hall-2.glb --mirror";
+    presight env import factory.presight hall-2.glb --replace
+    presight env import factory.presight hall-2.glb --mirror";
 
 /// Merge a scene or a layer file (.json), as one change
 ///

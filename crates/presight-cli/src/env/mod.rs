@@ -28,9 +28,9 @@ const EXAMPLES: &str = "Examples:
     echo '{\"op\":\"group\",\"changes\":[{\"op\":\"move\",\"object\":\"forklift1\",\"pose\":[30,18,0,0,0,90]},
       {\"op\":\"delete_object\",\"object\":\"forklift2\"}]}' | tr -d '\\n' | presight env apply hall.presight -
 
-  List all changes, and undo change 1:
+  List all changes, and undo change 2:
     presight env log hall.presight
-    presight env undo hall.presight 1
+    presight env undo hall.presight 2
 
   Every command takes a store as its scene:
     presight predict hall.presight --sensor laser-scanner --pose 2,1,0.5,0,0,90 --png view.png";
