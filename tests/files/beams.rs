@@ -409,7 +409,7 @@ fn a_frame_takes_its_part_of_a_pattern() {
     assert!((part.seconds_after_stamp(1, 0) - 0.01).abs() < 1e-7);
     let back = presight_read::sensor_toml::to_string(part.spec());
     assert_eq!(presight_read::sensor_toml::parse(&back, "", None).unwrap(), *part.spec());
-    for (part, says) in [("1..2", "pattern"), ("2..1", "no part"), ("x", "no part"), ("0.031..0.032", "no ray")] {
+    for (part, says) in [("1..2", "pattern"), ("2..1", "not a part"), ("x", "not a part"), ("0.031..0.032", "no ray")] {
         let e = load_sensor(&format!("{name}:{part}")).unwrap_err();
         assert!(e.kind().exit_status() == 2 && e.to_string().contains(says), "{part}: {e}");
     }
