@@ -10,6 +10,7 @@ mod learner;
 mod many;
 mod measured;
 mod messages;
+mod motion;
 mod prediction;
 mod predictor;
 mod process;

@@ -221,6 +221,7 @@ pub struct Chunks {
     predictor: Py<Predictor>,
     world: World,
     sensor: Sensor,
+    motion: Option<ScanMotion>,
     outputs: Outputs,
     poses: Vec<SensorPose>,
     size: usize,
@@ -230,15 +231,14 @@ pub struct Chunks {
 impl Chunks {
     pub fn new(
         predictor: Py<Predictor>,
-        world: World,
-        sensor: Sensor,
+        (world, sensor, motion): (World, Sensor, Option<ScanMotion>),
         outputs: Outputs,
         poses: Vec<SensorPose>,
         size: Option<usize>,
     ) -> Self {
         let bytes = 4 * outputs.numbers() * sensor.width() as usize * sensor.height() as usize;
         let size = size.unwrap_or((PART / bytes.max(1)).max(1));
-        Self { predictor, world, sensor, outputs, poses, size, next: Mutex::new(0) }
+        Self { predictor, world, sensor, motion, outputs, poses, size, next: Mutex::new(0) }
     }
 }
 
@@ -259,6 +259,6 @@ impl Chunks {
             return Ok(None);
         }
         let targets = Targets::new(py, part.len(), &self.sensor, self.outputs, None)?;
-        targets.fill(py, self.predictor.get(), &self.world, &self.sensor, part, None).map(Some)
+        targets.fill(py, self.predictor.get(), &self.world, &self.sensor, part, self.motion.clone()).map(Some)
     }
 }

@@ -4,17 +4,19 @@ use super::arrays::{Conventions, covariance_of, numbers, outputs_of, pose_of, po
 use super::errors::{Failed, apart, room_for, usage, warn};
 use super::many::{self, Chunks, Targets};
 use super::measured::{Frame, Verdicts};
+use super::motion::{GivenMotion, twist_motion};
 use super::prediction::{About, Layer, Prediction};
 use super::process::PerProcessPredictor;
 use super::scene::{Scene, Seen};
 use super::sensor::sensor_of;
 use presight::features::{BoxOptions, FeatureOptions, FeatureSource, Hidden};
 use presight::files::{self, LayerFile};
-use presight::measured::{Frame as OurFrame, Measurement, ScanMotion};
+use presight::measured::{Frame as OurFrame, Measurement};
 use presight::predict::{BatchRequest, Headings, PoseCell, RangeLikelihood};
+use presight::sensor::ExternalPose;
 use presight::{
-    Backend, Error, Output, Outputs, PoseEstimate, Predictor as Ours, Request, Result, RobotPose, SceneFeatures,
-    Sensor, SensorPose, Twist, World,
+    Backend, Error, Output, Outputs, Pose, PoseEstimate, Predictor as Ours, Request, Result, RobotPose, SceneFeatures,
+    Sensor, SensorPose, World,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -118,17 +120,6 @@ fn without_displays<T>(py: Python<'_>, work: impl FnOnce() -> PyResult<T>) -> Py
     done
 }
 
-/// A twist of (6,) metres and degrees per second, robot axes.
-fn motion_of(twist: &Bound<'_, PyAny>) -> PyResult<ScanMotion> {
-    let given = numbers::<f64>(twist, "twist")?.1;
-    let [vx, vy, vz, wx, wy, wz] = given[..] else {
-        let remedy = "give (6,) vx vy vz wx wy wz, metres and degrees per second";
-        return Err(usage(twist.py(), "twist", format!("it has {} numbers", given.len()), remedy));
-    };
-    let [wx, wy, wz] = [wx, wy, wz].map(f64::to_radians);
-    Ok(ScanMotion::Twist(Twist::from_array([vx, vy, vz, wx, wy, wz])))
-}
-
 /// What each batch is given: a version of the world, a sensor, and its poses there.
 struct Given {
     world: World,
@@ -189,7 +180,9 @@ impl Predictor {
     /// normal, feature_id). `layers` are feature layers on top of the scene's own, which `[]` takes alone; their regions of interest hold
     /// the features with `confidence`, where `pose_cov` is the pose's uncertainty: (6,) standard deviations in metres and degrees, or
     /// (6, 6) in metres and radians. `deadline_ms` gives up what does not fit. `twist` is how the robot moves while the sensor measures
-    /// its rays: (6,) metres and degrees per second in the robot's axes; `pose` is then the one at the scan's stamp.
+    /// its rays: (6,) metres and degrees per second in the robot's axes; `pose` is then the one at the scan's stamp. Instead of it
+    /// `pose_end` is the pose when the last ray is measured, or `trajectory` has poses over time, (n, 8) timestamp x y z qx qy qz qw or the
+    /// path of a TUM file, on whose clock `stamp` is the scan's; both are in the conventions of `pose`.
     ///
     /// Raises `Error` for invalid arguments, `DeviceError`, `SystemFault`, and `DeadlineError` if nothing fits.
     ///
@@ -198,7 +191,8 @@ impl Predictor {
     /// >>> room.objects[out.object_id[0, 180] - 1].startswith("room/")
     /// True
     #[pyo3(signature = (scene, sensor, pose, outputs = None, layers = None, pose_cov = None, confidence = 0.99, deadline_ms = None,
-        pose_frame = "body", pose_of = "sensor", world_frame = "z-up", twist = None))]
+        pose_frame = "body", pose_of = "sensor", world_frame = "z-up", twist = None,
+        pose_end = None, trajectory = None, stamp = None))]
     #[expect(clippy::too_many_arguments, reason = "the flags of the command")]
     fn predict(
         &self,
@@ -215,6 +209,9 @@ impl Predictor {
         pose_of: &str,
         world_frame: &str,
         twist: Option<&Bound<'_, PyAny>>,
+        pose_end: Option<&Bound<'_, PyAny>>,
+        trajectory: Option<&Bound<'_, PyAny>>,
+        stamp: Option<f64>,
     ) -> PyResult<Prediction> {
         let conventions = Conventions::new(py, pose_frame, pose_of, world_frame)?;
         let (sensor, outputs) = (sensor_of(sensor)?, outputs_of(outputs)?);
@@ -229,11 +226,16 @@ impl Predictor {
         }
         let covariance = covariance_of(pose_cov)?;
         let mut request = in_time(py, Request::of(outputs), deadline_ms)?;
-        request.motion = twist.map(motion_of).transpose()?;
+        let motion = GivenMotion::new(py, twist, pose_end, trajectory, stamp)?;
         let scene = scene.get();
-        let done = apart(py, || {
+        let done = apart(py, move || {
             let seen = scene.seen();
             let pose = given.of_sensor(sensor.spec(), &seen.world_from_gltf)?;
+            let robot = |given: &ExternalPose| -> Result<Pose> {
+                let sensor_pose = given.of_sensor(sensor.spec(), &seen.world_from_gltf)?;
+                Ok(sensor_pose.world_from_sensor() * sensor.spec().mount.inverse())
+            };
+            request.motion = motion.during(&sensor, &given, conventions, robot)?;
             let Some(layers) = layers else {
                 return self.one(&seen, &sensor, &pose, &request).map(|(p, a)| (p, a, None));
             };
@@ -296,7 +298,7 @@ impl Predictor {
     ) -> PyResult<Bound<'py, PyDict>> {
         let conventions = Conventions::new(py, pose_frame, pose_of, world_frame)?;
         let outputs = many::outputs(outputs)?;
-        let motion = twist.map(motion_of).transpose()?;
+        let motion = twist.map(twist_motion).transpose()?;
         let Given { world, sensor, poses } = Given::new(scene, sensor, poses, conventions)?;
         Targets::new(py, poses.len(), &sensor, outputs, out)?.fill(py, self, &world, &sensor, poses, motion)
     }
@@ -306,7 +308,7 @@ impl Predictor {
     /// >>> [part["range"].shape[0] for part in predictor.predict_chunks(room, "laser-scanner", poses, size=2)]
     /// [2, 1]
     #[pyo3(signature = (scene, sensor, poses, outputs = None, size = None, pose_frame = "body", pose_of = "sensor",
-        world_frame = "z-up"))]
+        world_frame = "z-up", twist = None))]
     #[expect(clippy::too_many_arguments, reason = "the flags of the command")]
     fn predict_chunks(
         slf: &Bound<'_, Self>,
@@ -319,14 +321,16 @@ impl Predictor {
         pose_frame: &str,
         pose_of: &str,
         world_frame: &str,
+        twist: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Chunks> {
         let conventions = Conventions::new(py, pose_frame, pose_of, world_frame)?;
         let outputs = many::outputs(outputs)?;
         if size == Some(0) {
             return Err(usage(py, "size", "0", "give 1 or more"));
         }
+        let motion = twist.map(twist_motion).transpose()?;
         let Given { world, sensor, poses } = Given::new(scene, sensor, poses, conventions)?;
-        Ok(Chunks::new(slf.clone().unbind(), world, sensor, outputs, poses, size))
+        Ok(Chunks::new(slf.clone().unbind(), (world, sensor, motion), outputs, poses, size))
     }
 
     /// The log-likelihood of measured ranges at each pose: (poses,), float64, or with `headings` at this number of headings of each place:

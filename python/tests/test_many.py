@@ -29,6 +29,70 @@ def test_many_are_as_single_ones(room, cpu, poses):
         assert same(np.concatenate([part[name] for part in parts]), many[name])
 
 
+TURNING = '''format = 1
+kind = "scanner"
+class = "laser"
+turn_s = 0.1
+[azimuth]
+start_deg = -180
+step_deg = 1
+count = 360
+[elevation]
+start_deg = 10
+step_deg = -10
+count = 3
+'''
+
+
+def test_the_robot_moves_meanwhile(room, cpu, tmp_path):
+    (tmp_path / "turning.toml").write_text(TURNING)
+    sensor, pose = presight.Sensor.load(tmp_path / "turning.toml"), [1, 1.5, 0.5, 0, 0, 90]
+    # By hand: at 0.5 m/s along y the last of 360 columns is measured 0.1 s x 359 / 360 after the stamp.
+    last = 0.1 * 359 / 360
+    end, turned = [1, 1.5 + 0.5 * last, 0.5, 0, 0, 90], [np.sqrt(0.5)]
+    drive = np.array([[10 + t, 1, 1.5 + 0.5 * t, 0.5, 0, 0, *turned, *turned] for t in (-0.1, 0.2)])
+    np.savetxt(tmp_path / "drive.tum", drive)
+    ranges = {
+        "twist": cpu.predict(room, sensor, pose, twist=[0.5, 0, 0, 0, 0, 0])["range"],
+        "end": cpu.predict(room, sensor, pose, pose_end=end)["range"],
+        "trajectory": cpu.predict(room, sensor, pose, trajectory=drive, stamp=10)["range"],
+        "file": presight.predict(room, sensor, pose, trajectory=tmp_path / "drive.tum", stamp=10)["range"],
+    }
+    hit = np.isfinite(ranges["twist"])
+    for name, other in ranges.items():
+        # Edges may fall on the other side of a ray.
+        assert np.mean(np.abs(other - ranges["twist"])[hit] > 1e-5) < 0.005, name
+    # Planted: standing, and driving the other way.
+    for fault in ({}, {"twist": [-0.5, 0, 0, 0, 0, 0]}):
+        other = cpu.predict(room, sensor, pose, **fault)["range"]
+        assert np.mean(np.abs(other - ranges["twist"])[hit] > 1e-3) > 0.5, fault
+    poses = [pose, [1, 1.6, 0.5, 0, 0, 80], end]
+    many = cpu.predict_many(room, sensor, poses, twist=[0.5, 0, 0, 0, 0, 0])["range"]
+    parts = list(cpu.predict_chunks(room, sensor, poses, size=2, twist=[0.5, 0, 0, 0, 0, 0]))
+    assert same(np.concatenate([part["range"] for part in parts]), many) and same(many[0], ranges["twist"])
+
+
+@pytest.mark.parametrize(("motion", "words"), [
+    ({"pose_end": [1, 1.5, 0.5, 0, 0, 270]}, "pose_end: 180.0 degrees"),
+    ({"pose_end": [1, 1.5]}, "pose_end"),
+    ({"pose_end": [1, 1.5, 0.5, 0, 0, 91], "twist": [0] * 6}, "more than one motion"),
+    ({"trajectory": [[0, 1, 1.5, 0.5, 0, 0, 0, 1], [1, 1, 1.5, 0.5, 0, 0, 0, 1]]}, "stamp"),
+    ({"trajectory": [[0, 1, 1.5, 0.5, 0, 0, 0, 1], [1, 1, 1.5, 0.5, 0, 0, 0, 1]], "stamp": 0.5}, "no pose between"),
+    ({"trajectory": [[0, 1, 1.5, 0.5, 0, 0, 0, 1]], "stamp": 0}, "a trajectory of 1 poses"),
+    ({"trajectory": [[0, 1, 1.5, 0.5, 0, 0, 0, 1], [-1, 1, 1.5, 0.5, 0, 0, 0, 1]], "stamp": 0}, "goes back"),
+    ({"trajectory": [[0, 1, 1.5, 0.5, 0, 0, 0, 1], [0.2, 1, 1.5, 0.5, 0, 0, 0, 1]], "stamp": 0.15}, "outside of the traj"),
+    ({"trajectory": [[0, 1, 1.5, 0.5, 0, 0, 0, 2], [0.2, 1, 1.5, 0.5, 0, 0, 0, 1]], "stamp": 0}, "pose 0: a quaternion"),
+    ({"trajectory": [[0, 1, 1.5, 0.5, 0, 0, 0]], "stamp": 0}, "the shape is"),
+    ({"trajectory": "missing.tum", "stamp": 0}, "missing.tum"),
+    ({"stamp": 0}, "there is no trajectory"),
+])
+def test_bad_motions_are_refused(room, cpu, tmp_path, motion, words):
+    (tmp_path / "turning.toml").write_text(TURNING)
+    with pytest.raises((presight.Error, OSError)) as raised:
+        cpu.predict(room, str(tmp_path / "turning.toml"), [1, 1.5, 0.5, 0, 0, 90], **motion)
+    one_line(raised, words)
+
+
 def test_arrays_of_the_caller_are_filled(room, cpu, poses):
     right = cpu.predict_many(room, "laser-scanner", poses)["range"]
     out = np.zeros((20, 1, 361), "f4")

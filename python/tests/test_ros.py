@@ -1,7 +1,7 @@
 """Bytes of ROS 2 messages in and out, and the node without its ROS."""
 
 import pytest
-from conftest import POSE, data, same
+from conftest import POSE, data, done, same
 
 import presight
 from presight import ros
@@ -51,6 +51,25 @@ def test_a_bag_opens_with_its_choices():
         presight.Log.open(bag, topic="/other")
 
 
+def test_a_learner_finds_what_the_command_finds(tmp_path):
+    bag, model = data("ros/malaga_zstd.mcap"), data("lidar2d/malaga_corridor_map.glb")
+    flags = ["--init", "unknown", "--model-sigma", "0.03", "--out", tmp_path / "command"]
+    printed = done("update", bag, "--map", model, *flags)
+    scene = presight.Scene.open(model)
+    localizer, learner = presight.Localizer(scene, model_sigma=0.03), presight.Learner(scene, model_sigma=0.03)
+    with pytest.warns(presight.Notice):
+        log = presight.Log.open(bag)
+    for frame in log:
+        learner.observe(localizer.step(frame), frame)
+    learner.end_drive()
+    kinds = ("gone:", "moved:", "new:", "part gone:", "comes and goes:", "seen through")
+    expected = [line for line in printed.splitlines() if line.startswith(kinds)]
+    assert expected and learner.findings() == expected
+    assert learner.write(tmp_path / "node") == len((tmp_path / "command" / "changes.jsonl").read_text().splitlines())
+    with pytest.raises(presight.Error, match="the frame of the step"):
+        learner.observe(presight.Localizer(scene).step(log[0]), log[1])
+
+
 def test_a_follower_names_what_it_leaves_out():
     """The node without rclpy: the model is sent once, and a message that is cut is named."""
     arguments = ["--map", str(data("lidar2d/malaga_corridor_map.glb")), "--mount", "0.78,0,0.3,0,0,0"]
@@ -62,7 +81,7 @@ def test_a_follower_names_what_it_leaves_out():
         assert any("/scan is left out" in line for line in said)
     finally:
         follower.end()
-    assert "0 scans were matched" in said[-1]
+    assert "0 measurements were matched" in said[-1]
     poses = presight.Messages()
     with pytest.raises(presight.Error):
         poses.initial_pose(b"\0\1\0\0")

@@ -6,6 +6,7 @@ use glam::DVec3;
 use presight_model::caster::RayCaster;
 use presight_model::geometry::{Pose, Twist};
 use presight_model::measured::{Frame, ScanMotion};
+use presight_model::statistics::{median, tail};
 use presight_model::world::World;
 use presight_read::gltf::{ImportOptions, import};
 use presight_read::log::Frames;
@@ -28,6 +29,26 @@ fn share_off(caster: &RayCaster, frame: &Frame, robot: &Pose) -> f64 {
     off as f64 / f64::from(count)
 }
 
+/// Standard deviation of the ranges of a frame against the model, metres; robust against rays past edges. Only the first
+/// tenth of the scan and the last count: the robot's pose is known there, whatever its speed between.
+fn range_sigma(caster: &RayCaster, raw: &Frame, robot: &Pose) -> f64 {
+    let (still, last) = (raw.deskewed(0.0).unwrap(), raw.sensor().scan_interval()[1]);
+    let (sensor, world_from_body) = (still.sensor(), *robot * still.sensor().spec().mount);
+    let mut off = Vec::new();
+    for (i, range) in (0..).zip(still.ranges()).filter(|(_, range)| range.is_finite()) {
+        let (c, r) = (i % sensor.width(), i / sensor.width());
+        if (raw.sensor().seconds_after_stamp(c, r) / last - 0.5).abs() < 0.4 {
+            continue;
+        }
+        let ray: DVec3 = sensor.body_from_image() * sensor.ray(c, r).expect("a measured pixel has a ray");
+        let origin = world_from_body.transform_point(sensor.origin(c, r));
+        let hit = caster.cast(origin, world_from_body.rotation * ray, 100.0, None);
+        off.extend(hit.map(|hit| (hit.range - f64::from(*range)).abs()));
+    }
+    // Half of a normal distribution is within 0.6745 standard deviations.
+    median(&mut off).expect("hits") / 0.6745
+}
+
 /// Ouster's clouds are organized and have nanoseconds, Velodyne's are not and have seconds.
 #[test]
 fn clouds_of_a_moving_robot_lie_on_the_walls() {
@@ -43,8 +64,15 @@ fn clouds_of_a_moving_robot_lie_on_the_walls() {
         // The second scan begins at the last transform.
         assert!(notices.contains("does not reach over every scan"), "{name}: {notices}");
         assert_eq!(frames.len(), 2);
+        // The ranges have noise: a point is at most as far from the walls as its range is off.
+        let first = &frames[0];
+        let sigma = range_sigma(&caster, &first.frame, &first.reference.unwrap().world_from_robot());
+        let noisy = 2.0 * tail(0.01 / sigma);
+        let by_chance = 3.0 * (noisy * (1.0 - noisy) / 3000.0).sqrt();
+        println!("{name}: ranges with {:.1} mm of noise, {:.1} % off by over 1 cm", 1e3 * sigma, 100.0 * noisy);
+        assert!((0.004..0.006).contains(&sigma), "{name}: {sigma}");
         // Beyond the last transform its velocity is extended, but the robot accelerates.
-        for (o, max_off) in frames.iter().zip([0.05, 0.3]) {
+        for (o, max_off) in frames.iter().zip([noisy + by_chance, 0.3]) {
             let robot = o.reference.unwrap().world_from_robot();
             let interval = o.frame.sensor().scan_interval();
             assert!(interval[0] == 0.0 && (0.0995..0.0998).contains(&interval[1]), "{interval:?}");

@@ -7,11 +7,11 @@ use presight_testkit as common;
 
 use common::oracle::Oracle;
 use common::{Random, scenes};
-use glam::{DVec3, Vec3};
+use glam::{DQuat, DVec3, Vec3};
 use presight_model::environment::NewObject;
 use presight_model::geometry::{Pose, SensorPose, Twist};
 use presight_model::measured::{ScanMotion, ScanPoses};
-use presight_model::sensor::{Angles, Geometry, RayTable, RayTimes, Scanner, Sensor, SensorSpec, StampAt};
+use presight_model::sensor::{Angles, Camera, Geometry, RayTable, RayTimes, Scanner, Sensor, SensorSpec, StampAt};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
 use presight_predict::request::Request;
@@ -275,6 +275,74 @@ fn walls_while_driving_and_turning() {
             assert!((f64::from(images.range[c]) - range).abs() < 1e-6 * range, "{c}: {} {range}", images.range[c]);
             assert!((f64::from(images.cos_incidence[c]) - cos).abs() < 1e-6, "{c}");
         }
+    }
+}
+
+/// A screw in the same room. By hand: at v ahead, u up and w to the left the robot is at x = v / w sin wt, y = v / w
+/// (1 - cos wt), z = 1 + u t, and a beam at the azimuth a and the elevation e points along a + w t. It meets the nearest
+/// of the walls at x = +-5 m and y = +-4 m, the floor and the ceiling at 3 m.
+#[test]
+fn a_room_from_a_helix() {
+    let world = scenes::room_world(1, 0);
+    let (v, u, w, turn_s) = (2.0, 0.8, 3.0, 0.5);
+    let spec = scenes::scanner(360, 8).spec().clone();
+    let scanner = Sensor::new(spec.with_times(RayTimes::turning(turn_s, StampAt::First))).unwrap();
+    let motion = ScanMotion::Twist(Twist::new(DVec3::new(v, 0.0, u), DVec3::Z * w));
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
+    let request = Request::of(Outputs::of(&[Output::Range])).with_motion(motion);
+    let pose = SensorPose::from_xyz_rpy(DVec3::Z, 0.0, 0.0, 0.0);
+    let images = predictor.predict(&world, &scanner, &pose, &request).unwrap().images;
+    let range = |(c, r): (u32, u32), w: f64| {
+        let t = turn_s * f64::from(c) / 360.0;
+        let at = DVec3::new(v / w * (w * t).sin(), v / w * (1.0 - (w * t).cos()), 1.0 + u * t);
+        let ray = DQuat::from_rotation_z(w * t) * scanner.ray(c, r).unwrap();
+        let far = DVec3::new(5.0f64.copysign(ray.x), 4.0f64.copysign(ray.y), if ray.z > 0.0 { 3.0 } else { 0.0 });
+        ((far - at) / ray).abs().min_element()
+    };
+    let off = |w: f64| {
+        let pixels = (0..8).flat_map(|r| (0..360).map(move |c| (c, r))).zip(&images.range);
+        pixels.filter(|(p, measured)| (f64::from(**measured) - range(*p, w)).abs() > 1e-6 * range(*p, w)).count()
+    };
+    assert_eq!(off(w), 0);
+    // Planted: it turns the other way. What meets the floor or the ceiling does not change.
+    assert!(off(-w) > 900, "{}", off(-w));
+}
+
+/// A wall 4 m ahead ends at y = 0.5 m, and another one is 8 m ahead. By hand: a camera that drives to the left at v sees
+/// the end at the column c - f (0.5 - v t) / 4 of the row that it reads t seconds after the stamp: to the right of it the
+/// near wall, to the left the far one.
+#[test]
+fn a_rolling_shutter_past_an_edge() {
+    let wall = |x: f32, left: f32| {
+        vec![[-50.0, -50.0], [left, -50.0], [left, 50.0], [-50.0, 50.0]]
+            .into_iter()
+            .map(move |[y, z]| Vec3::new(x, y, z))
+    };
+    let mut environment = scenes::empty();
+    let mesh = scenes::mesh(&[wall(4.0, 0.5).collect(), wall(8.0, 50.0).collect()]);
+    environment.insert(NewObject::new("walls", Pose::IDENTITY, Arc::new(mesh))).unwrap();
+    let (f, readout_s) = (200.0, 0.1);
+    let camera = Camera::pinhole(160, 100, f, f, 79.5, 49.5);
+    let spec = SensorSpec::new("rolling", "video", Geometry::Camera(camera));
+    let camera = Sensor::new(spec.with_times(RayTimes::Rows { readout_s, stamp: StampAt::First })).unwrap();
+    let world = World::new(environment);
+    let mut predictor = Predictor::new(Options::new(Backend::Cpu).with_threads(1)).unwrap();
+    for v in [3.0, -3.0] {
+        let motion = ScanMotion::Twist(Twist::new(DVec3::Y * v, DVec3::ZERO));
+        let request = Request::of(Outputs::of(&[Output::DepthZ])).with_motion(motion);
+        let images = predictor.predict(&world, &camera, &SensorPose::IDENTITY, &request).unwrap().images;
+        let off = |v: f64| {
+            let pixels = (0..100).flat_map(|r| (0..160).map(move |c| (f64::from(c), f64::from(r))));
+            let wrong = pixels.zip(&images.depth_z).filter(|((c, r), depth)| {
+                let edge = 79.5 - f * (0.5 - v * readout_s * r / 100.0) / 4.0;
+                let truth = if *c > edge { 4.0 } else { 8.0 };
+                (c - edge).abs() > 1e-3 && (f64::from(**depth) - truth).abs() > 1e-5
+            });
+            wrong.count()
+        };
+        assert_eq!(off(v), 0, "{v}");
+        // Planted: all rows at the stamp. The end moves by up to 15 columns, on average by 7.4 in 100 rows.
+        assert!(off(0.0) > 600, "{}", off(0.0));
     }
 }
 

@@ -1,6 +1,8 @@
 //! `presight explore`: a model of an environment from what a sensor measured there.
 
 use super::bag_args::LogArgs;
+#[cfg(feature = "ros")]
+use super::output_bag::OutputBag;
 use super::outputs::{OutputFiles, check_no_dash};
 use super::pose::parse_pose;
 use super::sensor_args::SensorArgs;
@@ -8,6 +10,8 @@ use super::{CommandOutcome, open_scene, print};
 use presight::environment::{Environment, IndexKind};
 use presight::explore::{Exploration, ExploreOptions, Follower, Known, Views};
 use presight::files::{self, ImportOptions, LogFrames, Observation, StampedPose};
+#[cfg(feature = "ros")]
+use presight::ros::model;
 use presight::store::{self, Note, Store};
 use presight::{Error, Pose, Result, RobotPose, Sensor, Threads};
 use std::path::{Path, PathBuf};
@@ -45,6 +49,12 @@ pub struct Args {
     /// The store (.presight); an existing one is extended
     #[arg(long, value_name = "STORE")]
     out: PathBuf,
+
+    /// Write a ROS 2 bag: the polygons as markers on /presight/model, as they stand after each log; with --init at the
+    /// end
+    #[cfg(feature = "ros")]
+    #[arg(long, value_name = "OUT.mcap")]
+    mcap: Option<PathBuf>,
 
     /// Poses of the robot: `log` for the poses in the log, or lines of timestamp tx ty tz qx qy qz qw
     #[arg(long, value_name = "log|FILE.tum", default_value = "log")]
@@ -106,6 +116,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let exists = args.out.exists();
     let mut files = OutputFiles::default();
     files.add_any(&args.out)?;
+    #[cfg(feature = "ros")]
+    let mut bag = OutputBag::of("--mcap", args.mcap.as_deref(), &mut files)?;
     let poses = (args.poses != "log").then(|| PathBuf::from(&args.poses));
     let sensor = args.sensor.iter().map(Path::new);
     let inputs = args.logs.iter().chain(&args.map).chain(&poses).map(PathBuf::as_path);
@@ -126,6 +138,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         None => {
             for log in &args.logs {
                 args.add(log, sensor.as_ref(), poses.as_deref(), &mut views).map_err(|e| e.in_file(log))?;
+                #[cfg(feature = "ros")]
+                if let Some(bag) = bag.as_mut().filter(|_| args.logs.last() != Some(log)) {
+                    // A first log alone may show nothing flat.
+                    let found = Exploration::of(&known, kind, &views, &options).ok();
+                    found.map_or(Ok(()), |found| show(bag, &found))?;
+                }
             }
         }
     }
@@ -135,6 +153,11 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             "the model explains {:.0} % of the points: is it of this place, in metres, and in the frame of the poses?",
             100.0 * (1.0 - found.unexplained)
         )]);
+    }
+    #[cfg(feature = "ros")]
+    if let Some(bag) = &mut bag {
+        show(bag, &found)?;
+        bag.finish()?;
     }
     let note = args.note()?;
     drop(files);
@@ -146,6 +169,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let number = store.apply(found.change(&store)?, &note)?;
     print::data(&report(&found, &views, number))?;
     Ok(CommandOutcome::Done)
+}
+
+/// Adds the polygons so far.
+#[cfg(feature = "ros")]
+fn show(bag: &mut OutputBag, found: &Exploration) -> Result<()> {
+    bag.add([model(found.environment(), "map", (found.stamp() * 1e9).round() as i64)?])
 }
 
 impl Args {

@@ -8,10 +8,6 @@ use presight::sensor::ExternalPose;
 use presight::{Error, Pose, Result, Scene, Sensor, Twist};
 use std::path::{Path, PathBuf};
 
-/// Beyond this angle between two poses, degrees, the direction of turning is ambiguous: half a turn, less half a degree
-/// for rounding in the text of a pose.
-const HALF_TURN_DEG: f64 = 179.5;
-
 /// How the robot moves while the sensor measures its rays; poses are those at the stamp of the scan.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct MotionArgs {
@@ -119,7 +115,7 @@ impl MotionArgs {
             let end = ExternalPose::new(super::pose::parse_pose(text).map_err(place)?);
             let end = end.with_frame(given.frame).with_of(given.of).with_world(given.world);
             let moved = robot(given)?.inverse() * robot(&end)?;
-            let motion = until(&moved, sensor.scan_interval()[1]).map_err(place)?;
+            let motion = ScanMotion::until(&moved, sensor.scan_interval()[1]).map_err(place)?;
             return Ok(ScanMotions::Alike(motion));
         }
         let Some(path) = &self.trajectory else { return Ok(ScanMotions::Still) };
@@ -127,20 +123,6 @@ impl MotionArgs {
         let trajectory = poses.collect::<Result<_>>().and_then(Trajectory::new).map_err(|e| e.in_file(path))?;
         Ok(ScanMotions::Along(trajectory, path.clone()))
     }
-}
-
-/// The constant motion that leads to a pose when the last ray is measured, `seconds` after the stamp.
-fn until(moved: &Pose, seconds: f64) -> Result<ScanMotion> {
-    if !(seconds > 0.0) {
-        let remedy = "give --twist: the scan is stamped at its last ray";
-        return Err(Error::usage("there is no time between the stamp and the last ray", remedy));
-    }
-    let turned = moved.rotation.angle_between(glam::DQuat::IDENTITY).to_degrees();
-    if turned > HALF_TURN_DEG {
-        let what = format!("{turned:.1} degrees from the pose at the stamp: the direction of turning is ambiguous");
-        return Err(Error::usage(what, "give --twist or --trajectory FILE"));
-    }
-    Ok(ScanMotion::Twist(Twist::to(moved, seconds)))
 }
 
 /// Refuses sensors for which no motion can be predicted.
@@ -164,7 +146,8 @@ fn parse_twist(text: &str) -> Result<Twist> {
     match numbers[..] {
         [vx, vy, vz, wx, wy, wz] => {
             let turn = DVec3::new(wx.to_radians(), wy.to_radians(), wz.to_radians());
-            Ok(Twist::new(DVec3::new(vx, vy, vz), turn))
+            let twist = Twist::new(DVec3::new(vx, vy, vz), turn);
+            twist.check().map(|()| twist)
         }
         _ => Err(Error::usage(format!("{} numbers", numbers.len()), REMEDY)),
     }
@@ -187,14 +170,5 @@ mod tests {
         for bad in ["1,2,3", "1,2,3,4,5,x", "1,2,3,4,5,nan", ""] {
             assert_eq!(parse_twist(bad).unwrap_err().kind(), presight::ErrorKind::Usage, "{bad}");
         }
-    }
-
-    #[test]
-    fn half_a_turn_is_ambiguous() {
-        let turned = |degrees: f64| Pose::from_xyz_rpy(DVec3::X, 0.0, 0.0, degrees.to_radians());
-        assert!(until(&turned(180.0), 0.1).unwrap_err().to_string().contains("ambiguous"));
-        assert!(until(&turned(10.0), 0.0).unwrap_err().remedy().contains("--twist"));
-        let Ok(ScanMotion::Twist(twist)) = until(&turned(9.0), 0.1) else { panic!("a twist") };
-        assert!((twist.angular.z - 90f64.to_radians()).abs() < 1e-9);
     }
 }

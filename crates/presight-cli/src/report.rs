@@ -17,7 +17,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
-  presight report hall.glb --out study                # index.html, work_precision.csv, report.json
+  presight report hall.glb --out study                # index.html, report.json, and tables as CSV
   presight report hall.glb --out study --quick             # less than a minute
   presight report hall.glb --sensor camera.toml --out study --quick
   presight report --stability --quick --out stability      # every engine: stability.csv
@@ -27,7 +27,8 @@ Exit status: 1 if an exact path differs by more than rounding, or an error excee
 /// Measure error against run time and recommend settings, or check error bounds with --stability
 ///
 /// Measures every engine and every setting that trades error for run time: resolution, part of the image, ray table,
-/// index, visibility of features, regions of interest. Errors are relative to the reference engine.
+/// index, visibility of features, regions of interest. Errors are relative to the reference engine. For lidars with beam
+/// tables or scan times, it measures what one pose per scan, an even grid and one centre cost on a robot that drives.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -64,7 +65,7 @@ pub struct Args {
 
 /// The files of each study.
 const STABILITY: [&str; 3] = ["index.html", "stability.csv", "report.json"];
-const WORK_PRECISION: [&str; 3] = ["index.html", "work_precision.csv", "report.json"];
+const WORK_PRECISION: [&str; 4] = ["index.html", "work_precision.csv", "approximations.csv", "report.json"];
 
 /// Number of free poses in a full study. A quick one has one.
 const POSES: usize = 3;
@@ -76,7 +77,8 @@ const POSES: usize = 3;
 pub fn run(args: &Args, arguments: &[OsString]) -> Result<CommandOutcome> {
     let command = arguments.iter().map(|arg| arg.to_string_lossy().into_owned()).collect();
     let mut files = OutputFiles::default();
-    files.add_folder(&args.out, &if args.stability { STABILITY } else { WORK_PRECISION })?;
+    let written: &[&str] = if args.stability { &STABILITY } else { &WORK_PRECISION };
+    files.add_folder(&args.out, written)?;
     let named = args.scenes.iter().map(PathBuf::as_path).chain(args.poses.as_deref());
     files.check_named(named.chain(args.sensors.iter().map(Path::new)))?;
     Threads::SHARED.started()?;
@@ -131,23 +133,38 @@ fn work_precision(args: &Args, files: OutputFiles, command: Vec<String>) -> Resu
         [
             work_precision::to_html(&findings, &machine)?,
             work_precision::to_csv(&findings),
+            work_precision::approximations_to_csv(&findings.approximations),
             work_precision::to_json(&findings, &machine)?,
         ],
     )?;
-    print::lines(summary(&args.out, &findings))?;
+    print::lines(summary(&args.out, &findings, &study.sensors))?;
     Ok(if findings.faults() == 0 { CommandOutcome::Done } else { CommandOutcome::Found })
 }
 
-fn write(folder: &Path, names: [&str; 3], texts: [String; 3]) -> Result<()> {
+fn write<const N: usize>(folder: &Path, names: [&str; N], texts: [String; N]) -> Result<()> {
     for (name, text) in names.into_iter().zip(texts) {
         write_atomically(&folder.join(name), |file| file.write_all(text.as_bytes()))?;
     }
     Ok(())
 }
 
-fn summary(folder: &Path, findings: &Findings) -> impl Iterator<Item = String> {
+/// The advice for each sensor, and what it costs to take the `given` lidars for simpler ones.
+fn summary(folder: &Path, findings: &Findings, given: &[Sensor]) -> impl Iterator<Item = String> {
     let advice = findings.findings.iter().map(|f| f.advice.clone());
-    advice.chain([folder.join("index.html").display().to_string()])
+    let costs = findings.approximations.iter().filter(|cost| given.iter().any(|s| s.spec().name == cost.sensor));
+    advice.chain(costs.map(ToString::to_string)).chain([folder.join("index.html").display().to_string()])
+}
+
+/// The given sensors that have simpler ones, and the lidars of every study.
+fn lidars(given: &[Sensor]) -> Result<Vec<Sensor>> {
+    let mut lidars: Vec<Sensor> = given.iter().filter(|s| work_precision::is_approximated(s)).cloned().collect();
+    for name in work_precision::LIDARS {
+        let lidar = preset(name)?;
+        if lidars.iter().all(|known| known.spec() != lidar.spec()) {
+            lidars.push(lidar);
+        }
+    }
+    Ok(lidars)
 }
 
 impl Args {
@@ -173,7 +190,8 @@ impl Args {
             scenes.push(Scene { name: path.display().to_string(), world, poses });
         }
         let effort = if self.quick { Effort::QUICK } else { Effort::FULL };
-        Ok((Study { scenes, sensors, effort }, files))
+        let lidars = lidars(&sensors)?;
+        Ok((Study { scenes, sensors, lidars, effort }, files))
     }
 
     fn sensors(&self) -> Result<Vec<Sensor>> {

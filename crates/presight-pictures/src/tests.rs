@@ -1,7 +1,8 @@
 //! Orientation of previews, and units of depth images.
 
 use super::*;
-use presight_model::sensor::{Angles, Camera, Scanner, SensorSpec};
+use glam::DVec3;
+use presight_model::sensor::{Angles, Camera, RayTable, Scanner, SensorSpec};
 use presight_render::plan::Outputs;
 
 fn scanner(step_deg: f64, rows: u32) -> Sensor {
@@ -23,6 +24,23 @@ fn near_corner(sensor: &Sensor) -> Images {
     images.range.fill(4.0);
     images.range[0] = 1.0;
     images
+}
+
+/// The rays of a scanner, and of a scanner that turns clockwise, as a table: left is left, and pixels have their angles.
+#[test]
+fn tables_of_rays_are_drawn_as_scanners_are() {
+    for step_deg in [5.0, -5.0] {
+        let sensor = scanner(step_deg, 3);
+        let pixels = (0..3).flat_map(|row| (0..4).map(move |column| (column, row)));
+        let rays = pixels.map(|(c, r)| sensor.ray(c, r).unwrap()).collect();
+        let table = Geometry::Rays(RayTable::new(4, 3, rays).unwrap());
+        let table = Sensor::new(sensor.spec().clone().with_geometry(table)).unwrap();
+        assert_eq!(view::is_mirrored(&table), step_deg > 0.0);
+        assert_eq!(view::drawn_size(&table), view::drawn_size(&sensor));
+    }
+    // A list of rays has no layout.
+    let list = RayTable::new(3, 1, vec![DVec3::X, DVec3::new(1.0, 0.1, 0.0), DVec3::new(1.0, 0.2, 0.0)]).unwrap();
+    assert!(!view::is_mirrored(&Sensor::new(SensorSpec::new("l", "laser", Geometry::Rays(list))).unwrap()));
 }
 
 /// Mean position of a colour's pixels on the page, from 0 to 1 from left and top.
@@ -198,7 +216,7 @@ fn panels_share_a_scale_and_show_a_place() {
         }
     };
     let range: Vec<f32> = (0..120 * 21).map(|pixel| at(pixel % 120)).collect();
-    let around = [glam::DVec3::new(-0.2, 2.0, -0.2), glam::DVec3::new(0.2, 2.0, 0.2)];
+    let around = [DVec3::new(-0.2, 2.0, -0.2), DVec3::new(0.2, 2.0, 0.2)];
     let canvas = panels::drawn(&[Panel { name: "range", range: &range }], &sensor, &around).unwrap();
     let [x, _] = place_of(&canvas, near);
     assert!((x - 0.5).abs() < 0.1, "2 m is the nearest that is shown, in the middle: {x}");

@@ -5,7 +5,8 @@ use super::color::{Palette, by_distance, grey};
 use super::overlay::{LEGEND, Overlay, legend};
 use super::scale::Scale;
 use glam::DVec2;
-use presight_model::sensor::{Angles, Geometry, Sensor};
+use presight_model::sensor::{Angles, Geometry, RayTable, Sensor};
+use presight_model::statistics::median;
 use presight_render::plan::{Images, Output, SampleKind};
 
 /// Free space around and between panels, pixels.
@@ -108,7 +109,7 @@ pub fn drawn_size(sensor: &Sensor) -> (u32, u32) {
     let shape = match &sensor.spec().geometry {
         Geometry::Camera(c) => c.fx / c.fy,
         Geometry::Scanner(s) => mean_step(&s.elevation) / mean_step(&s.azimuth),
-        Geometry::Rays(_) => 1.0,
+        Geometry::Rays(table) => ray_steps(table).map_or(1.0, |[across, up]| up / across.abs()),
     };
     // Height over width of a pixel; a single beam has none.
     let shape = if shape.is_finite() && shape > 0.0 { shape.clamp(1.0 / 32.0, 32.0) } else { 1.0 };
@@ -124,11 +125,32 @@ fn mean_step(angles: &Angles) -> f64 {
     if n < 2 { f64::NAN } else { ((angles.degrees(n - 1) - angles.degrees(0)) / (n - 1) as f64).abs() }
 }
 
-/// True for scanners that turn counter-clockwise: their columns run from right to left.
+/// Median steps between the rays of a table: of azimuth from column to column and of elevation, without its sign, from
+/// row to row, radians. `None` for a list of rays.
+fn ray_steps(table: &RayTable) -> Option<[f64; 2]> {
+    let (width, height) = (table.width() as usize, table.height() as usize);
+    if width < 2 || height < 2 {
+        return None;
+    }
+    // Some hundred pairs show the median.
+    let every = (width * height / 512).max(1);
+    let pixels = (0..width * (height - 1)).step_by(every).filter(|at| at % width + 1 < width);
+    let ray = |at: usize| Some(table.directions()[at]).filter(|d| !d.is_nan());
+    let pairs = pixels.filter_map(|at| Some([ray(at)?, ray(at + 1)?, ray(at + width)?]));
+    let steps = pairs.map(|[ray, right, below]| {
+        let across = ray.truncate().perp_dot(right.truncate()).atan2(ray.truncate().dot(right.truncate()));
+        (across, (ray.z.asin() - below.z.asin()).abs())
+    });
+    let (mut across, mut up): (Vec<f64>, Vec<f64>) = steps.unzip();
+    Some([median(&mut across)?, median(&mut up)?])
+}
+
+/// True for sensors that turn counter-clockwise: their columns run from right to left.
 pub fn is_mirrored(sensor: &Sensor) -> bool {
     match &sensor.spec().geometry {
         Geometry::Scanner(s) => s.azimuth.len() > 1 && s.azimuth.degrees(s.azimuth.len() - 1) > s.azimuth.degrees(0),
-        Geometry::Camera(_) | Geometry::Rays(_) => false,
+        Geometry::Rays(table) => ray_steps(table).is_some_and(|[across, _]| across > 0.0),
+        Geometry::Camera(_) => false,
     }
 }
 

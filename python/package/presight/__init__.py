@@ -95,6 +95,9 @@ def predict(
     pose_of: str = "sensor",
     world_frame: str = "z-up",
     twist: ArrayLike | None = None,
+    pose_end: ArrayLike | None = None,
+    trajectory: ArrayLike | str | os.PathLike[str] | None = None,
+    stamp: float | None = None,
 ) -> Prediction:
     """Predicts what a sensor should see at a pose, as `Predictor.predict`, on a predictor that the process keeps.
 
@@ -103,5 +106,19 @@ def predict(
     laser-scanner 361 x 1, 100.0 % of rays hit at ...
     """
     return _predictor().predict(
-        scene, sensor, pose, outputs, layers, pose_cov, confidence, deadline_ms, pose_frame, pose_of, world_frame, twist
+        scene,
+        sensor,
+        pose,
+        outputs,
+        layers,
+        pose_cov,
+        confidence,
+        deadline_ms,
+        pose_frame,
+        pose_of,
+        world_frame,
+        twist,
+        pose_end,
+        trajectory,
+        stamp,
     )

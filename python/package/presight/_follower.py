@@ -67,6 +67,8 @@ class Follower:
             self.localizer = localizer
 
     def warn_once(self, text: str) -> None:
+        for word in ("mount", "base", "sensor"):
+            text = text.replace(f"{word}=", f"--{word}")
         if text not in self.said:
             self.said.add(text)
             self.say(text)

@@ -266,6 +266,9 @@ class Predictor:
         pose_of: str = "sensor",
         world_frame: str = "z-up",
         twist: ArrayLike | None = None,
+        pose_end: ArrayLike | None = None,
+        trajectory: ArrayLike | _Path | None = None,
+        stamp: float | None = None,
     ) -> Prediction: ...
     def predict_many(
         self,
@@ -289,6 +292,7 @@ class Predictor:
         pose_frame: str = "body",
         pose_of: str = "sensor",
         world_frame: str = "z-up",
+        twist: ArrayLike | None = None,
     ) -> Chunks: ...
     def likelihood(
         self,

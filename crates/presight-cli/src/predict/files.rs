@@ -80,7 +80,11 @@ pub fn write_files(
             PointsFrameArg::World => PointsFrame::World,
         };
         let motion = prediction.request.motion.as_ref();
-        let cloud = PointCloud::of_scan(images, sensor, &prediction.pose, frame, motion, args.deskew)?;
+        let cloud = PointCloud::of_scan(images, sensor, &prediction.pose, frame, motion, args.deskew);
+        let cloud = cloud.map_err(|e| match args.deskew {
+            Some(at) => e.at(format!("--deskew {at}")),
+            None => e,
+        })?;
         let cloud = cloud.only(args.outputs);
         let cloud = match args.normals() {
             true if !args.outputs.has(Output::Normal) => {

@@ -4,6 +4,7 @@ mod bad_input;
 #[cfg(feature = "ros")]
 mod bags;
 #[cfg(all(feature = "ros", feature = "report"))]
+mod bags_bad;
 mod bags_out;
 mod cameras;
 mod cases_scanners;

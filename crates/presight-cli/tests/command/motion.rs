@@ -65,6 +65,12 @@ fn bad_motion_is_refused_with_a_remedy() {
         ("--pose 0,0,1,0,0,0 --trajectory back.tum --stamp 9", "goes back"),
         ("--pose 0,0,1,0,0,0 --trajectory gap.tum --stamp 10.1", "no pose between"),
         ("--pose 0,0,1,0,0,0 --trajectory ns.tum --stamp 1.7e18", "nanoseconds"),
+        ("--pose 0,0,1,0,0,0 --trajectory drive.tum --stamp 9", "a scan from 9 s to 9.09"),
+        ("--pose 0,0,1,0,0,0 --twist 1e300,0,0,0,0,0", "a twist of [1e300"),
+        (
+            "--pose 0,0,1,0,0,0 --trajectory drive.tum --stamp 10 --points x.ply --deskew 7",
+            "--deskew 7: a motion that does",
+        ),
         ("--poses late.tum --out x{i}.exr --trajectory drive.tum", "outside of the trajectory"),
         ("--pose 0,0,1,0,0,0 --twist 1,0,0,0,0,0 --deadline-ms 5", "a deadline"),
         ("--pose 0,0,1,0,0,0 --twist 1,0,0,0,0,0 --virtual depth-image", "virtual sensors"),

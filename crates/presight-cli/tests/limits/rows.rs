@@ -76,7 +76,7 @@ pub const LONG: &[Row] = &[row(
 /// A command that takes seconds and is therefore run less often.
 pub const STUDIES: &[Row] = &[row(
     "report IN/hall.glb --quick --sensor IN/tiny.toml --out study",
-    &["study/index.html", "study/work_precision.csv", "study/report.json"],
+    &["study/index.html", "study/work_precision.csv", "study/approximations.csv", "study/report.json"],
 )];
 
 /// A command that cannot finish within the test.

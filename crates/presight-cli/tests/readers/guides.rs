@@ -67,6 +67,25 @@ fn every_command_of_the_tour_runs() {
     assert_eq!(first_failure(&place, Path::new("/usr/bin/python3"), &page), None);
 }
 
+/// On the bag and the map of a corridor. The node is tested with Python.
+#[test]
+fn every_command_of_the_ros_guide_runs() {
+    let data = presight_testkit::data::file;
+    let (Some(bag), Some(map)) = (data("ros/malaga_zstd.mcap"), data("lidar2d/malaga_corridor_map.glb")) else {
+        return;
+    };
+    let page = guide("ros.md");
+    let commands = page.split("## The node").next().unwrap();
+    assert_eq!(blocks(commands)[0].1.lines().count(), 4);
+    let place = Place::new();
+    for (file, name) in [(bag, "drive.mcap"), (map, "corridor.glb")] {
+        std::os::unix::fs::symlink(file.canonicalize().unwrap(), place.path(name)).unwrap();
+    }
+    assert_eq!(first_failure(&place, Path::new("/usr/bin/python3"), commands), None);
+    let spoilt = commands.replace("localize drive.mcap", "localize lost.mcap");
+    assert!(first_failure(&place, Path::new("/usr/bin/python3"), &spoilt).is_some_and(|e| e.contains("lost.mcap")));
+}
+
 #[test]
 fn every_command_of_the_first_hour_runs() {
     let Some(python) = python() else { return };

@@ -138,6 +138,11 @@ impl Exploration {
         &self.environment
     }
 
+    /// The stamp of the last frame, seconds.
+    pub fn stamp(&self) -> f64 {
+        self.stamp
+    }
+
     fn add_walls(&mut self, walls: &[Wall], views: &Views, options: &ExploreOptions) -> Result<()> {
         let height = views.base().z + views.all().iter().map(|v| v.origin().z).sum::<f64>() / views.all().len() as f64;
         let first = first_free(&self.environment, "wall");

@@ -10,14 +10,15 @@ use presight_ros::message::{Header, MarkerArray, MarkerKind, SceneMarker};
 /// bags, presight among them, take for the largest message.
 const MAX_TRIANGLES: usize = 1 << 21;
 
-/// The model as triangles on `/presight/model`, one marker for each object, in the colour of its first polygon.
+/// The model as triangles on `/presight/model`, one marker for each object, in the colour of its first polygon. It replaces
+/// an earlier model.
 ///
 /// # Errors
 /// [`ErrorKind::Unsupported`] for a model of more than 2,097,152 triangles.
 pub fn model(environment: &Environment, map: &str, stamp_ns: i64) -> Result<Record> {
     let objects = environment.objects();
     let mut triangles = 0;
-    let mut markers = Vec::new();
+    let mut markers = vec![all_before(&Header { stamp_ns, frame_id: map.to_owned() })];
     for (id, object) in objects.iter().enumerate() {
         let polygons = object.mesh.polygon_count() as u32;
         let mut points = Vec::new();
@@ -47,10 +48,15 @@ pub fn model(environment: &Environment, map: &str, stamp_ns: i64) -> Result<Reco
     Ok(Record::of("/presight/model", stamp_ns, &MarkerArray { markers }))
 }
 
+/// Deletes the markers that a topic had.
+fn all_before(header: &Header) -> SceneMarker {
+    SceneMarker { kind: None, header: header.clone(), ..SceneMarker::new(MarkerKind::Cube, "", [0.0; 4]) }
+}
+
 impl MessageOrigin {
     /// Markers in a frame, which replace the markers that the topic had.
     pub fn markers(&self, topic: &str, frame: &str, markers: impl IntoIterator<Item = SceneMarker>) -> Record {
-        let mut all = vec![SceneMarker { kind: None, ..SceneMarker::new(MarkerKind::Cube, "", [0.0; 4]) }];
+        let mut all = vec![all_before(&self.header(frame))];
         all.extend(markers);
         for (id, marker) in all.iter_mut().enumerate() {
             (marker.header, marker.id) = (self.header(frame), id as i32);

@@ -70,12 +70,6 @@ impl Footing {
         Some(Self { height, lowest, edge, parts })
     }
 
-    /// True if the floor covers a convex outline, counter-clockwise relative to the point, in the square of the radius.
-    pub fn covers(&self, outline: &[DVec2]) -> bool {
-        self.edge == f64::INFINITY
-            || uncovered(outline, self.parts.iter().map(|part| part.outline.as_slice())).is_empty()
-    }
-
     /// True if a part of a surface, given by its corners relative to the point (heights in the world), rises above the
     /// floor by more than `clearance`, metres. Where there is no floor, the height at the point counts.
     pub fn is_below(&self, corners: &[DVec3], clearance: f64) -> bool {

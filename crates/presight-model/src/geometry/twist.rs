@@ -58,13 +58,14 @@ impl Twist {
     }
 
     /// # Errors
-    /// [`crate::ErrorKind::Invalid`] if a component is not finite.
+    /// [`crate::ErrorKind::Invalid`] if a component is not finite, or leads out of all coordinates within a second.
     pub fn check(&self) -> Result<()> {
-        if self.linear.is_finite() && self.angular.is_finite() {
+        if self.linear.is_finite() && self.angular.is_finite() && self.over(1.0).check().is_ok() {
             return Ok(());
         }
-        let what = format!("a twist of {} m/s and {} rad/s", self.linear, self.angular);
-        Err(Error::invalid(what, "give finite metres and radians per second"))
+        // Debug format, because Display has no exponents: 1e300 would fill the screen.
+        let what = format!("a twist of {:?} m/s and rad/s", self.to_array());
+        Err(Error::invalid(what, "give metres and radians per second, along and about the axes of the robot"))
     }
 }
 

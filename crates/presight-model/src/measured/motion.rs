@@ -2,11 +2,16 @@
 
 use crate::error::{Error, Result};
 use crate::geometry::{Pose, Twist};
+use glam::DQuat;
 use std::sync::Arc;
 
 /// Maximum seconds between two poses that give the motion of a scan. A robot that accelerates by 1 m/s² leaves the
 /// path of constant velocity between poses that far apart by 3 cm, the noise of a lidar.
 pub const MAX_POSE_GAP_S: f64 = 0.5;
+
+/// Beyond this angle between two poses, degrees, the direction of turning is ambiguous: half a turn, less half a degree
+/// for rounding in the text of a pose.
+const HALF_TURN_DEG: f64 = 179.5;
 
 /// Maximum distance of a path between its poses from the arc of constant velocity, metres: a hundredth of a lidar's
 /// noise.
@@ -89,6 +94,32 @@ impl ScanMotion {
         let ends = path.len() - 1;
         (path[0].0, path[ends].0) = (path[0].0.min(from), path[ends].0.max(to));
         Self::path(path)
+    }
+
+    /// The constant motion that leads to a pose of the robot, in its frame at the stamp, some seconds after the stamp.
+    ///
+    /// # Examples
+    /// ```
+    /// use presight::{Pose, measured::ScanMotion};
+    /// let end = Pose::from_xyz_rpy(glam::DVec3::X * 0.2, 0.0, 0.0, 0.0);
+    /// let motion = ScanMotion::until(&end, 0.1)?;
+    /// assert!((motion.at(0.05).unwrap().translation.x - 0.1).abs() < 1e-12);
+    /// # Ok::<(), presight::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] if the seconds are not positive, or if the pose is half a turn away.
+    pub fn until(end: &Pose, seconds: f64) -> Result<Self> {
+        if !(seconds > 0.0) {
+            let what = "there is no time between the stamp and the last ray";
+            return Err(Error::usage(what, "give the twist of the robot: the scan is stamped at its last ray"));
+        }
+        let turned = end.rotation.angle_between(DQuat::IDENTITY).to_degrees();
+        if turned > HALF_TURN_DEG {
+            let what = format!("{turned:.1} degrees from the pose at the stamp: the direction of turning is ambiguous");
+            return Err(Error::usage(what, "give the twist of the robot, or its trajectory"));
+        }
+        Ok(Self::Twist(Twist::to(end, seconds)))
     }
 
     /// The pose of the robot `seconds` after the stamp, in its frame at the stamp. `None` outside of a path.
@@ -186,6 +217,17 @@ mod tests {
             assert!(off.abs() <= MAX_SAGITTA, "{t}: {off}");
         }
         assert!(many.at(0.0).unwrap().translation.length() < 1e-9, "its own frame at the stamp");
+    }
+
+    #[test]
+    fn half_a_turn_is_ambiguous() {
+        let turned = |degrees: f64| Pose::from_xyz_rpy(DVec3::X, 0.0, 0.0, degrees.to_radians());
+        for (end, seconds, words) in [(turned(180.0), 0.1, "ambiguous"), (turned(10.0), 0.0, "no time")] {
+            let e = ScanMotion::until(&end, seconds).unwrap_err();
+            assert!(e.to_string().contains(words) && e.remedy().contains("twist"), "{e}");
+        }
+        let Ok(ScanMotion::Twist(twist)) = ScanMotion::until(&turned(9.0), 0.1) else { panic!("a twist") };
+        assert!((twist.angular.z - 90f64.to_radians()).abs() < 1e-9);
     }
 
     #[test]

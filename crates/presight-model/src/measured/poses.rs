@@ -41,7 +41,7 @@ impl ScanPoses {
         let mut pose = |(origin, seconds): &(DVec3, f64)| {
             let at_time = match last.filter(|(known, _)| known == seconds) {
                 Some((_, pose)) => pose,
-                None => sensor_at(world_from_sensor, &mount, motion, *seconds, sensor)?,
+                None => sensor_at(world_from_sensor, &mount, motion, *seconds)?,
             };
             last = Some((*seconds, at_time));
             Ok(if *origin == DVec3::ZERO {
@@ -75,16 +75,9 @@ impl ScanPoses {
 }
 
 /// World from sensor some seconds after the stamp.
-fn sensor_at(
-    world_from_sensor: &Pose,
-    mount: &Pose,
-    motion: &ScanMotion,
-    seconds: f64,
-    sensor: &Sensor,
-) -> Result<Pose> {
+fn sensor_at(world_from_sensor: &Pose, mount: &Pose, motion: &ScanMotion, seconds: f64) -> Result<Pose> {
     let moved = motion.at(seconds).ok_or_else(|| {
-        let [first, last] = sensor.scan_interval();
-        let what = format!("a motion that does not reach from {first} s to {last} s after the stamp");
+        let what = format!("a motion that does not reach {seconds:.6} s after the stamp");
         Error::invalid(what, "give poses from before the first ray until after the last")
     })?;
     if moved == Pose::IDENTITY {
@@ -99,6 +92,6 @@ impl ScanMotion {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if the motion does not reach so far.
     pub fn sensor_at(&self, sensor: &Sensor, world_from_sensor: &Pose, seconds: f64) -> Result<Pose> {
-        sensor_at(world_from_sensor, &sensor.spec().mount, self, seconds, sensor)
+        sensor_at(world_from_sensor, &sensor.spec().mount, self, seconds)
     }
 }

@@ -57,8 +57,8 @@ impl Trajectory {
     /// # Errors
     /// [`crate::ErrorKind::Invalid`] if the scan reaches out of the trajectory or over a gap of more than 0.5 s.
     pub fn scan(&self, stamp: f64, interval: [f64; 2]) -> Result<ScanMotion> {
-        let from_world = self.at(stamp)?.inverse();
         let knots = self.around(stamp, interval)?;
+        let from_world = self.at(stamp)?.inverse();
         ScanMotion::path(knots.iter().map(|(t, pose)| (t - stamp, from_world * *pose)).collect())
     }
 

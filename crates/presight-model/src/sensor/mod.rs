@@ -37,7 +37,7 @@ pub use presets::{PRESETS, Preset};
 pub use ray_grid::{Cones, ForwardView, Sides, TILE_SIDE, TileLookup, TileRays};
 pub use ray_grid::{RayGrid, Tile};
 pub use ray_tiles::{GROUP, GROUPS, GroupLayout, RayTile, RayTiles};
-pub use rays::RayTable;
+pub use rays::{MAX_ORIGIN, RayTable};
 pub use scanner::{Angles, SAME_ANGLE, Scanner};
 pub use times::{RayTimes, StampAt};
 pub use undistort::Lens;

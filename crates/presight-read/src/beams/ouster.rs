@@ -10,7 +10,7 @@ use crate::text::{check_json_memory, from_settings};
 use glam::{DMat3, DQuat, DVec3};
 use presight_model::error::{Error, ErrorKind, Result};
 use presight_model::geometry::Pose;
-use presight_model::sensor::{Angles, BeamTable, SensorSpec};
+use presight_model::sensor::{Angles, BeamTable, MAX_ORIGIN, SensorSpec};
 use serde_json::Value;
 use std::path::Path;
 
@@ -261,6 +261,7 @@ impl<'a> Metadata<'a> {
             None => None,
         };
         let matrix = self.exactly(BEAM_TO_LIDAR, 16, "numbers of a 4 x 4 matrix")?;
+        let field = if matrix.is_some() { BEAM_TO_LIDAR } else { ORIGIN };
         let origin = match (matrix, distance) {
             (Some(matrix), distance) => {
                 // ouster-sdk uses these two numbers of the matrix.
@@ -281,6 +282,10 @@ impl<'a> Metadata<'a> {
                 DVec3::new(self.or_usual(ORIGIN, distance, usual, &format!("{usual} mm")), 0.0, 0.0)
             }
         };
+        if !(origin.abs().max_element() * MILLIMETRE <= MAX_ORIGIN) {
+            let what = format!("a beam leaves the sensor {} mm from its origin", origin.length());
+            return Err(self.fault(field, what, "give millimetres, as the sensor's metadata has them"));
+        }
         Ok(origin * MILLIMETRE)
     }
 

@@ -7,9 +7,11 @@
 //! | projected random samples of the errors of pose and feature | how often a region of interest misses its feature |
 //!
 //! `path` lists the paths, and `how` describes their flags. `errors` compares images, `features` features, and
-//! `regions` regions of interest. `timing` measures times, and `advice` recommends paths.
+//! `regions` regions of interest. `timing` measures times, and `advice` recommends paths. `approximations`
+//! measures what it costs to take a lidar for a simpler one.
 
 mod advice;
+mod approximations;
 mod engines;
 mod errors;
 mod features;
@@ -26,6 +28,7 @@ mod tables;
 mod timing;
 mod views;
 
+pub use approximations::{Approximation, ApproximationCost, LIDARS, approximations_to_csv, is_approximated};
 pub use results::{Finding, Findings, PathNotes, Row, StageTime};
 pub use setup::{Effort, Scene};
 pub use show::{to_csv, to_html, to_json};

@@ -1,5 +1,6 @@
 //! The results of a study.
 
+use super::approximations::ApproximationCost;
 use presight_render::plan::{CountName, Omission, StageName};
 use serde::Serialize;
 
@@ -114,6 +115,8 @@ pub struct Finding {
 pub struct Findings {
     /// Results by scene, then by sensor.
     pub findings: Vec<Finding>,
+    /// What it costs to take lidars for simpler ones, by scene, then by sensor.
+    pub approximations: Vec<ApproximationCost>,
     /// Adapter and driver, or why there is none.
     pub adapter: String,
 }
@@ -167,7 +170,9 @@ mod tests {
             not_measured: Vec::new(),
             preview: Vec::new(),
         };
-        let faults = |rows| Findings { findings: vec![finding(rows)], adapter: String::new() }.faults();
+        let faults = |rows| {
+            Findings { findings: vec![finding(rows)], approximations: Vec::new(), adapter: String::new() }.faults()
+        };
         assert_eq!(faults(vec![row(FAULT_SHARE, 0.0), row("id_mismatch", 0.3)]), 0);
         assert_eq!(faults(vec![row(FAULT_SHARE, 1e-6), row(FAULT_SHARE, 0.0)]), 1);
     }

@@ -1,5 +1,6 @@
 //! The results as CSV, JSON and an HTML page.
 
+use super::approximations;
 use super::results::{Finding, Findings, Row};
 use super::tables;
 use crate::chart::{Chart, Series, Style};
@@ -106,6 +107,9 @@ pub fn to_html(findings: &Findings, machine: &Machine) -> Result<String> {
     let mut sections = vec![answer(findings), about(findings, machine)];
     for finding in &findings.findings {
         sections.push(section(finding)?);
+    }
+    if !findings.approximations.is_empty() {
+        sections.push(approximations::section(&findings.approximations));
     }
     sections.push(kinds());
     let lead = "The run time of each path from a scene to an image, and the error of its images. The truth is the \

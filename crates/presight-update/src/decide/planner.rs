@@ -14,7 +14,7 @@ use presight_model::floor::{Footing, Mobility, height_below};
 use presight_model::geometry::{Aabb, Pose};
 use presight_model::index::QueryResult;
 use presight_model::world::World;
-use presight_predict::free_poses::is_clear;
+use presight_predict::free_poses::{FREE_DISTANCE, is_clear};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Distance between neighbouring candidate positions, metres.
@@ -25,7 +25,7 @@ const MAX_PLACES: usize = 20_000;
 const STEP: f64 = 0.4;
 /// Maximum height of a sensor above its floor, metres.
 const FLOOR_REACH: f64 = 10.0;
-/// Minimum distance of a position from new objects and from missing floor, and minimum height of free positions above the floor, metres.
+/// Minimum distance of a position from new objects, and minimum height of free positions above the floor, metres.
 const CLEARANCE: f64 = 0.35;
 /// Number of positions that are evaluated with few rays, and of the best of them that are evaluated with all.
 const TRIED: (usize, usize) = (600, 16);
@@ -247,14 +247,14 @@ fn reached(world: &World, from: impl Iterator<Item = DVec3>, blocked: &BTreeSet<
     places
 }
 
-/// The position of a sensor at its usual height above the floor, if a robot can stand there: on floor all around. `at` is
-/// as high as a neighbouring position. Without a usual height, there is no floor at all.
+/// The position of a sensor at its usual height above the floor, if a robot can stand there: missing floor keeps the
+/// distance that walls keep. `at` is as high as a neighbouring position. Without a usual height, there is no floor.
 fn sensor_place(world: &World, at: DVec3, usual: Option<f64>, found: &mut QueryResult) -> Option<DVec3> {
     let mobility = Mobility::default();
     let (place, lowest) = match usual {
         Some(usual) => {
-            let footing = Footing::at(world, at - usual * DVec3::Z, CLEARANCE, &mobility, found)?;
-            if footing.edge < CLEARANCE {
+            let footing = Footing::at(world, at - usual * DVec3::Z, FREE_DISTANCE, &mobility, found)?;
+            if footing.edge < FREE_DISTANCE {
                 return None;
             }
             (at.with_z(footing.height + usual), usual - CLEARANCE)

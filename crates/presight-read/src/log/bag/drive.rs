@@ -12,11 +12,13 @@ use presight_model::measured::OdometryNoise;
 use presight_model::sensor::Sensor;
 use presight_ros::message::{Message, TFMessage};
 use presight_ros::{Bag, FrameTree, Messages, Survey, is_static_topic};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 /// The frames of one topic of a bag. The bag is read forward; memory does not grow with it.
 pub struct BagFrames {
+    /// The bag, for messages of errors.
+    path: PathBuf,
     messages: Messages,
     stream: Stream,
     /// True if the container itself cannot be read on.
@@ -75,7 +77,7 @@ impl BagFrames {
         });
         let mut stream = Stream::new(choice, converter, tree, noise);
         stream.info = info;
-        Ok(Self { messages, stream, is_cut: false })
+        Ok(Self { path: path.to_owned(), messages, stream, is_cut: false })
     }
 
     /// The topic, frames and transforms taken from the bag.
@@ -112,7 +114,8 @@ impl BagFrames {
             match self.messages.next().transpose().inspect_err(|_| self.is_cut = true)? {
                 Some(record) => {
                     let (topic, time) = (Arc::clone(&record.topic), record.log_time_ns as f64 * NANO);
-                    self.stream.add(record).map_err(|e| e.at(format!("{}, recorded at {time:.6} s", topic.name)))?;
+                    let place = |e: Error| e.at(format!("{}, recorded at {time:.6} s", topic.name)).in_file(&self.path);
+                    self.stream.add(record).map_err(place)?;
                 }
                 None => self.stream.has_ended = true,
             }
