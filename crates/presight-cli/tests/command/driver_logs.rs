@@ -371,13 +371,13 @@ fn bad_lines_are_left_out_and_named_by_every_command() {
     let lines = [&[line(0.0), line(1.0)][..], &bad.map(str::to_owned), &[line(6.0), line(7.0)]].concat();
     place.write("a.jsonl", format!("{header}\n{}\n", lines.join("\n")).as_bytes());
     for command in [
-        "localize a.jsonl --map wall.glb --init reference --out a.tum",
+        "localize a.jsonl --map wall.glb --init reference --out followed.tum",
         "replay a.jsonl --map wall.glb --init reference --out shown",
         "explore a.jsonl --out explored.presight",
     ] {
         let ended = place.run(command);
         assert!(ended.status == Some(1) && ended.stderr.contains("a.jsonl: line 4: "), "{command}: {}", ended.stderr);
-        let _half_written = fs::remove_file(place.path("a.resume"));
+        let _half_written = fs::remove_file(place.path("followed.resume"));
         let kept = place.run(&format!("{command} --skip-bad"));
         let said = &kept.stderr;
         assert_eq!(kept.status, Some(0), "{command}: {said}");
