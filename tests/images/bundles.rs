@@ -279,8 +279,8 @@ fn walls_while_driving_and_turning() {
 }
 
 /// A screw in the same room. By hand: at v ahead, u up and w to the left the robot is at x = v / w sin wt, y = v / w
-/// (1 - cos wt), z = 1 + u t, and a beam at the azimuth a and the elevation e points along a + w t. It meets the nearest of
-/// the walls at x = +-5 m and y = +-4 m, the floor and the ceiling at 3 m.
+/// (1 - cos wt), z = 1 + u t, and a beam at the azimuth a and the elevation e points along a + w t. It meets the nearest
+/// of the walls at x = +-5 m and y = +-4 m, the floor and the ceiling at 3 m.
 #[test]
 fn a_room_from_a_helix() {
     let world = scenes::room_world(1, 0);

@@ -20,17 +20,17 @@ const fn special(name: &'static str, flags: &'static [&'static str]) -> Heading 
 }
 
 /// In the order of the first flags of a command.
-const HEADINGS: [Heading; 20] = [
-    common("Model", &["map", "scene", "exclude", "up", "scale", "model-sigma"]),
-    special("Model, rarely needed", &["merge-tolerance", "ids", "index", "reuse-visible", "precision"]),
-    common("Sensor", &["sensor", "robot", "rectified", "destagger", "preset", "grey", "grey-sensor"]),
-    common(
-        "Pose",
-        &["pose", "poses", "pose-frame", "pose-of", "world-frame", "pose-cov", "update --poses", "update --pose-cov"],
-    ),
+const HEADINGS: [Heading; 23] = [
+    common("Model", &["map", "scene", "exclude", "up", "scale"]),
+    special("Model, rarely needed", &["merge-tolerance", "ids", "index", "reuse-visible", "precision", "model-sigma"]),
+    common("Sensor", &["sensor", "robot"]),
+    special("Sensor, rarely needed", &["rectified", "destagger", "preset", "grey", "grey-sensor"]),
+    special("Frames of poses", &["pose-frame", "pose-of", "world-frame"]),
+    common("Pose", &["pose", "poses", "pose-cov", "update --poses", "update --pose-cov"]),
     common("Log", &["from", "stride", "skip-bad", "odometry-sigma"]),
     special("ROS 2 bags", &["topic", "base", "mount", "reflector"]),
-    common("Start", &["init", "init-sigma", "init-sigma-deg", "init-odds"]),
+    common("Start", &["init"]),
+    special("Uncertainty of the start", &["init-sigma", "init-sigma-deg", "init-odds"]),
     special("Search of the whole map", &["floor", "floor-to", "margin", "surrounded", "lean", "search-starts"]),
     special("Motion during a scan", &["twist", "pose-end", "trajectory", "stamp", "deskew"]),
     common(

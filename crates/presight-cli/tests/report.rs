@@ -69,11 +69,32 @@ fn a_quick_study_writes_its_results() {
     assert_eq!(json["format"], 1);
     assert_eq!(json["findings"].as_array().unwrap().len(), 2);
     assert_eq!(json["machine"]["command"][1], "report");
+    check_approximations(folder.path(), &json["approximations"]);
     for finding in json["findings"].as_array().unwrap() {
         check_notes(finding["notes"].as_array().unwrap());
         assert!(finding["features"].as_u64() >= Some(10) && finding["seen_share"].as_f64() > Some(0.1), "{finding}");
     }
     check_ways(folder.path(), &json["findings"][0]["notes"]);
+}
+
+/// Checks what simpler lidars cost: of three presets with beam tables five approximations, of the pattern three. Points
+/// put right by the true motion are wrong at edges only, far less often than those that are not.
+fn check_approximations(folder: &Path, costs: &serde_json::Value) {
+    let costs = costs.as_array().unwrap();
+    assert_eq!(costs.len(), 18);
+    let wrong = |sensor: &str, name: &str| {
+        let cost = costs.iter().find(|c| c["sensor"] == sensor && c["approximation"] == name).unwrap();
+        let [two, ten] = ["wrong_2cm", "wrong_10cm"].map(|key| cost[key].as_f64().unwrap());
+        assert!(cost["rays"].as_u64() > Some(1000) && two >= ten && two <= 1.0, "{cost}");
+        two
+    };
+    for sensor in ["vlp-16-real", "vlp-32c-real", "os1-128-real", "mid-360-like"] {
+        let [right, middle, stamp] = ["deskewed", "middle_pose", "stamp_pose"].map(|name| wrong(sensor, name));
+        assert!(right < 0.2 * middle && middle < stamp, "{sensor}: {right} {middle} {stamp}");
+    }
+    let csv = fs::read_to_string(folder.join("study/approximations.csv")).unwrap();
+    assert_eq!(csv.lines().next(), Some("scene,sensor,approximation,rays,wrong_2cm,wrong_10cm,median_m"));
+    assert_eq!(csv.lines().count(), 19);
 }
 
 /// Checks that the notes have stage times with their spread, and one default for each family of paths: images,

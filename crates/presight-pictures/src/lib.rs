@@ -41,7 +41,8 @@ use std::path::Path;
 ///
 /// Range and depth_z are coloured from near (yellow) to far (violet), ids have distinct colours, cos_incidence and echo
 /// are grey, and unit vectors have 127.5 (x + 1), 127.5 (y + 1) and 127.5 (z + 1) as red, green and blue.
-/// The aspect ratio of pixels follows their angles. Images of counter-clockwise scanners are mirrored: left is left.
+/// The aspect ratio of pixels follows their angles. Images of scanners and tables of rays that turn counter-clockwise
+/// are mirrored: left is left.
 /// A scan of one row is drawn from above, with x (forward) up.
 ///
 /// # Errors

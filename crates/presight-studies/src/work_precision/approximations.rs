@@ -280,12 +280,12 @@ pub fn approximations_to_csv(costs: &[ApproximationCost]) -> String {
 /// The section of the page.
 pub(super) fn section(costs: &[ApproximationCost]) -> Section {
     let text = format!(
-        "How wrong the ranges of a lidar are if it is taken for a simpler one, on a robot that drives ahead at {SPEED} m/s \
-         and turns to the left at {TURN} rad/s. The truth is predicted from each ray's own origin, pose and time, by \
-         the CPU engine. A ray counts if it has a range in truth or by the approximation, and is wrong by over 10 cm if \
-         it has one in only one of the two. An even grid has even steps of elevation from one centre, and rows shifted by \
-         whole columns. One centre is the mean origin. Sensors whose rays start at several points have no charts: a single \
-         path of the CPU engine draws them."
+        "How wrong the ranges of a lidar are if it is taken for a simpler one, on a robot that drives ahead at {SPEED} \
+         m/s and turns to the left at {TURN} rad/s. The truth is predicted from each ray's own origin, pose and time, \
+         by the CPU engine. A ray counts if it has a range in truth or by the approximation, and is wrong by over \
+         10 cm if only one of the two has one. An even grid has even steps of elevation from one centre, and rows shifted by \
+         whole columns. One centre is the mean origin. Sensors whose rays start at several points have no charts: a \
+         single path of the CPU engine draws them."
     );
     let mut parts = vec![Part::Text(text)];
     let mut scenes: Vec<&str> = costs.iter().map(|c| c.scene.as_str()).collect();
@@ -341,8 +341,8 @@ mod tests {
         [cost.wrong_2cm, cost.wrong_10cm, (1e4 * cost.median_m).round() / 1e4]
     }
 
-    /// By hand: at 1.5 m/s towards a wall 4 m away, five rays see it 0, 3, 6, 9 and 12 cm nearer. In the middle of the scan
-    /// one pose sees it 6 cm nearer.
+    /// By hand: at 1.5 m/s towards a wall 4 m away, five rays see it 0, 3, 6, 9 and 12 cm nearer. In the middle of the
+    /// scan one pose sees it 6 cm nearer.
     #[test]
     fn one_pose_per_scan_costs_the_way_driven_meanwhile() {
         let sensor = along_x(&[0.0; 5]);
@@ -368,8 +368,8 @@ mod tests {
         assert_eq!(found(&sensor, Approximation::OneCentre), [0.8, 0.4, 0.03]);
     }
 
-    /// By hand: of beams at 30, 10 and -30 degrees the second is taken for a level one: 4 m for 4 m / cos 10 degrees, 6.2
-    /// cm off.
+    /// By hand: of beams at 30, 10 and -30 degrees the second is taken for a level one: 4 m for 4 m / cos 10 degrees,
+    /// 6.2 cm off.
     #[test]
     fn an_even_grid_costs_the_angles_between() {
         let azimuth = Angles::Listed(vec![0.0]);

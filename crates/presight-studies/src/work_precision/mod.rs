@@ -7,8 +7,8 @@
 //! | projected random samples of the errors of pose and feature | how often a region of interest misses its feature |
 //!
 //! `path` lists the paths, and `how` describes their flags. `errors` compares images, `features` features, and
-//! `regions` regions of interest. `timing` measures times, and `advice` recommends paths. `approximations` measures what it
-//! costs to take a lidar for a simpler one.
+//! `regions` regions of interest. `timing` measures times, and `advice` recommends paths. `approximations`
+//! measures what it costs to take a lidar for a simpler one.
 
 mod advice;
 mod approximations;

@@ -37,8 +37,8 @@ impl Study {
     pub fn steps(&self) -> usize {
         let measured = self.sensors.len() * self.scenes.len();
         let poses: usize = self.sensors.len() * self.scenes.iter().map(|s| s.poses.len()).sum::<usize>();
-        // Per measurement one for the truth and one for features, and one for each lidar. Per pose one for each path, and the rounds of images,
-        // features and regions of interest.
+        // Per measurement one for the truth and one for features, and one for each lidar. Per pose one for each path,
+        // and the rounds of images, features and regions of interest.
         let lidars = self.lidars.len() * self.scenes.len();
         2 * measured + lidars + poses * (Path::all(true).len() + 3 * self.effort.rounds)
     }
