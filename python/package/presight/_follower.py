@@ -17,15 +17,17 @@ import presight
 FINDINGS_EVERY = 5.0
 
 
-def numbers(text: str, flag: str) -> list[float]:
-    """A pose of a flag."""
+def pose(text: str) -> list[float] | None:
+    """The pose of a flag; None for `unknown`."""
+    if text == "unknown":
+        return None
     try:
-        pose = [float(number) for number in text.split(",")]
+        numbers = [float(number) for number in text.split(",")]
     except ValueError:
-        pose = []
-    if len(pose) not in (6, 7) or not np.isfinite(pose).all():
-        raise SystemExit(f"presight.ros: {flag} {text}: not a pose; give x,y,z,roll_deg,pitch_deg,yaw_deg")
-    return pose
+        numbers = []
+    if len(numbers) not in (6, 7) or not np.isfinite(numbers).all():
+        raise argparse.ArgumentTypeError(f"{text} is not a pose; give x,y,z,roll_deg,pitch_deg,yaw_deg")
+    return numbers
 
 
 class Follower:
@@ -39,13 +41,11 @@ class Follower:
         self.learner = presight.Learner(self.scene, model_sigma=args.model_sigma or 0.0) if args.update else None
         if args.update:
             Path(args.update).mkdir(parents=True, exist_ok=True)
-        mount = numbers(args.mount, "--mount") if args.mount else None
-        self.messages = presight.Messages(args.frame, base=args.base, sensor=self.sensor, mount=mount)
+        self.messages = presight.Messages(args.frame, base=args.base, sensor=self.sensor, mount=args.mount)
         self.changed, self.ended, self.count, self.told = threading.Condition(), False, 0, time.monotonic()
         self.pose: Any = None
         self.said: set[str] = set()
-        init = None if args.init == "unknown" else numbers(args.init, "--init")
-        self.restart(init, args.init_sigma, args.init_sigma_deg)
+        self.restart(args.init, args.init_sigma, args.init_sigma_deg)
         for message in self.messages.model(self.scene):
             publish(*message)
         self.thread = threading.Thread(target=self.work, daemon=True)

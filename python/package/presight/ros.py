@@ -20,7 +20,7 @@ from importlib import import_module
 from typing import Any
 
 import presight
-from presight._follower import Follower, numbers
+from presight._follower import Follower, pose
 
 SCAN, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
 IMAGE, PACKED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
@@ -34,14 +34,14 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(prog="python -m presight.ros", description="Follow a robot in a model, from its ROS 2 topics.")
     p.add_argument("--map", required=True, metavar="SCENE", help="the model: a .glb or .gltf file, a script, or a store")
     p.add_argument("--topic", default="/scan", help="LaserScan, PointCloud2 or depth image [default: /scan]")
-    p.add_argument("--init", default="unknown", metavar="POSE", help="x,y,z,roll_deg,pitch_deg,yaw_deg, or unknown [default]")
+    p.add_argument("--init", type=pose, metavar="POSE", help="x,y,z,roll_deg,pitch_deg,yaw_deg, or unknown [default]")
     p.add_argument("--init-sigma", type=float, default=0.05, metavar="METRES")
     p.add_argument("--init-sigma-deg", type=float, default=2.0, metavar="DEG")
     p.add_argument("--model-sigma", type=float, metavar="METRES", help="deviation of the model's surfaces")
     p.add_argument("--floor", type=float, default=0.0, metavar="METRES", help="height of the robot's frame in a search")
     p.add_argument("--sensor", metavar="PRESET|FILE", help="noise and limits of the sensor")
     p.add_argument("--base", metavar="FRAME", help="frame of the robot [default: base_link, else base_footprint]")
-    p.add_argument("--mount", metavar="POSE", help="pose of the sensor on the robot, where /tf_static does not tell it")
+    p.add_argument("--mount", type=pose, metavar="POSE", help="pose of the sensor on the robot, where /tf_static does not tell it")
     p.add_argument("--odometry", metavar="TOPIC", help="a topic of nav_msgs/Odometry, where /tf has no odometry")
     p.add_argument("--frame", default="map", help="frame of the model [default: map]")
     p.add_argument("--tolerance", type=float, default=0.1, metavar="S", help="the transform is stamped ahead by this time")
@@ -159,17 +159,19 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the node until Ctrl-C."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     args = parser().parse_args(given[: given.index("--ros-args")] if "--ros-args" in given else given)
-    for flag, pose in (("--init", args.init if args.init != "unknown" else None), ("--mount", args.mount)):
-        if pose is not None:
-            numbers(pose, flag)
     try:
         import rclpy
+        import rclpy.exceptions  # type: ignore[import-not-found]
         import rclpy.executors  # type: ignore[import-not-found]
     except ImportError:
         print("presight.ros: there is no rclpy; source the setup of your ROS 2 in this shell", file=sys.stderr)
         return 3
     node, follower = Node(given, rclpy), None
     try:
+        # Before the wait: a map that cannot be read is said at once.
+        follower = Follower(args, node.publish, node.say)
+        warnings.simplefilter("always", presight.Notice)
+        warnings.showwarning = lambda message, *_: follower.warn_once(str(message))
         if (kind := node.type_offered(args.topic)) is not None:
             topics = {"/tf": TF, "/presight/pose": POSE, "/diagnostics": DIAGNOSTICS}
             if kind in (SCAN, CLOUD):
@@ -178,17 +180,18 @@ def run(arguments: Sequence[str] | None = None) -> int:
                 topics["/presight/predicted/points"] = CLOUD
             for topic, published in topics.items():
                 node.advertise(topic, published)
-            follower = Follower(args, node.publish, node.say)
-            warnings.simplefilter("always", presight.Notice)
-            warnings.showwarning = lambda message, *_: follower.warn_once(str(message))
             connect(node, follower, args, kind)
             node.spin()
     except (presight.Error, presight.DeviceError, presight.SystemFault) as e:
         print(f"presight.ros: {e}", file=sys.stderr)
         return 1
+    except rclpy.exceptions.NameValidationException as e:
+        print(f"presight.ros: {' '.join(str(e).split())}; give another --topic", file=sys.stderr)
+        return 2
     finally:
         if follower is not None:
             follower.end()
+        node.executor.shutdown()
         rclpy.try_shutdown()
     return 0
 
