@@ -30,12 +30,12 @@ const EXAMPLES: &str = "Examples:
     presight batch hall.glb --poses drive.tum --sensor vlp-16 --out images
 
   The log-likelihood of scan 3 of a log at each pose:
-    presight batch corridor.glb --poses corridor.tum --sensor scanner.toml --likelihood scans.json#3 \\
-      --out weights
+    presight batch corridor.glb --poses corridor.tum --sensor scanner.toml \\
+      --likelihood scans.json#3 --out weights
 
   The same at 360 headings of each place, with places 0.25 m apart:
-    presight batch corridor.glb --poses places.tum --sensor scanner.toml --likelihood scans.json#3 \\
-      --headings 360 --cell-m 0.25 --out headings
+    presight batch corridor.glb --poses places.tum --sensor scanner.toml \\
+      --likelihood scans.json#3 --headings 360 --cell-m 0.25 --out headings
 
   The second half of a batch, on another machine:
     presight batch hall.glb --poses drive.tum --sensor vlp-16 --out half --shard 2/2

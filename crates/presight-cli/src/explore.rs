@@ -23,8 +23,8 @@ const EXAMPLES: &str = "Examples:
     --out rough.presight
   presight explore wednesday.jsonl --sensor monday/sensor.toml --out rough.presight
   presight explore scans.json --wall-height 2.5 --polygons 200 --out corridor.presight
-  presight localize thursday.jsonl --map rough.presight --sensor monday/sensor.toml --init reference \\
-    --out followed.tum";
+  presight localize thursday.jsonl --map rough.presight --sensor monday/sensor.toml \\
+    --init reference --out followed.tum";
 
 /// A rough model that leaves this share of the points unexplained may show another place.
 const STRANGE: f64 = 0.8;

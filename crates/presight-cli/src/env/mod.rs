@@ -26,7 +26,8 @@ const EXAMPLES: &str = "Examples:
 
   Move one machine and remove another, both or none. The path of a group moves or removes all its objects:
     echo '{\"op\":\"group\",\"changes\":[{\"op\":\"move\",\"object\":\"forklift1\",\"pose\":[30,18,0,0,0,90]},
-      {\"op\":\"delete_object\",\"object\":\"forklift2\"}]}' | tr -d '\\n' | presight env apply hall.presight -
+      {\"op\":\"delete_object\",\"object\":\"forklift2\"}]}' | tr -d '\\n' \\
+      | presight env apply hall.presight -
 
   List all changes, and undo change 2:
     presight env log hall.presight
