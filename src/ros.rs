@@ -54,13 +54,14 @@ pub fn answers(step: &Step, origin: &MessageOrigin) -> Vec<Record> {
     let weak: Vec<&str> = step.estimate.weak.iter().map(|weak| weak.name.as_str()).collect();
     let level = match step.phase {
         Phase::Tracking if weak.is_empty() => 0,
-        Phase::Tracking | Phase::Candidates => 1,
+        Phase::Tracking | Phase::Kept | Phase::Candidates => 1,
         Phase::Unknown | Phase::Lost => 2,
     };
     let mut values = vec![
         ("state".to_owned(), step.phase.name().to_owned()),
         ("explained".to_owned(), step.estimate.explained.to_string()),
         ("odds".to_owned(), step.odds.to_string()),
+        ("fit_odds".to_owned(), step.fit_odds.map_or_else(String::new, |odds| odds.to_string())),
         ("carried".to_owned(), step.carried.to_string()),
         ("model_sigma".to_owned(), step.estimate.model_sigma.to_string()),
         ("weak".to_owned(), weak.join(", ")),

@@ -17,7 +17,7 @@ use presight_model::world::World;
 use presight_read::log::Frames;
 use presight_read::preset;
 use presight_testkit::caster::Caster;
-use presight_testkit::changes::{Shares, changed};
+use presight_testkit::changes::{Shares, changed, with_moved_walls};
 use presight_testkit::oracle::Oracle;
 use presight_testkit::route::{Driving, Route};
 use presight_testkit::{Random, data, scenes};
@@ -187,6 +187,16 @@ fn scanner(round: bool) -> Sensor {
     Sensor::new(spec).expect("a scanner")
 }
 
+/// 16 rows of 360 beams, as wide as those of a VLP-16.
+fn rows() -> Sensor {
+    let mut spec = scanner(true).spec().clone();
+    if let Geometry::Scanner(scanner) = &mut spec.geometry {
+        scanner.elevation = Angles::Uniform { start_deg: 15.0, step_deg: -2.0, count: 16 };
+    }
+    (spec.range_max, spec.noise.range_sigma) = (100.0, 0.02);
+    Sensor::new(spec).expect("a scanner")
+}
+
 /// 160 x 120 pixels, 63 degrees wide, at a man's chest.
 fn depth_camera() -> Sensor {
     let camera = Camera::pinhole(160, 120, 130.0, 130.0, 79.5, 59.5);
@@ -207,18 +217,44 @@ struct Drive<'a> {
     hertz: f64,
     frames: usize,
     seed: u64,
+    /// What is wrong beside the furniture.
+    trouble: Trouble,
+}
+
+/// What else makes a drive hard.
+#[derive(Clone, Copy, Default)]
+struct Trouble {
+    /// The start that is given is 14 cm and 3 degrees off.
+    far_start: bool,
+    /// Share of the walls that were moved.
+    walls: f64,
+    /// Share of the upright surfaces that are glass.
+    glass: f64,
+    /// People who walk along all round.
+    crowd: usize,
+}
+
+impl Trouble {
+    const FAR: Self = Self { far_start: true, walls: 0.0, glass: 0.0, crowd: 0 };
 }
 
 impl<'a> Drive<'a> {
     fn new(world: &'a World, frames: usize, seed: u64) -> Self {
         let driving = Driving { seconds: 0.1 * frames as f64 + 1.0, speed: 0.7, turn: 0.7 };
         let route = wander(world, &driving, seed);
-        Self { world, route, sensor: scanner(true), shares: EXACT, walkers: 3, hertz: 10.0, frames, seed }
+        Self { world, route, sensor: scanner(true), shares: EXACT, walkers: 3, hertz: 10.0, frames, seed, trouble: Trouble::default() }
     }
 
     fn caster(&self, shares: Shares) -> Caster {
-        let (real, _) = changed(self.world.environment(), shares, &self.route, self.seed);
-        Caster::new(&real, self.sensor.clone(), self.seed).with_walkers(self.walkers, &self.route, self.seed)
+        let (mut real, _) = changed(self.world.environment(), shares, &self.route, self.seed);
+        if self.trouble.walls > 0.0 {
+            real = with_moved_walls(&real, self.trouble.walls, self.seed);
+        }
+        let mut caster = Caster::new(&real, self.sensor.clone(), self.seed);
+        caster.glass = self.trouble.glass;
+        caster
+            .with_walkers(self.walkers, &self.route, self.seed)
+            .with_crowd(self.trouble.crowd, self.seed)
     }
 
     /// The log by a caster, which changes at a frame to the one of other shares.
@@ -237,7 +273,8 @@ impl<'a> Drive<'a> {
             frames.push(caster.frame(&pose, time, (k > 0).then(|| time - 1.0 / self.hertz)));
             truth.push(Some(pose(time)));
         }
-        let off = Pose::from_xyz_rpy(DVec3::new(0.03, -0.02, 0.0), 0.0, 0.0, 0.01);
+        let (x, y, yaw) = if self.trouble.far_start { (0.11, -0.09, 0.052) } else { (0.03, -0.02, 0.01) };
+        let off = Pose::from_xyz_rpy(DVec3::new(x, y, 0.0), 0.0, 0.0, yaw);
         let start = Some(pose(0.0) * off);
         Log { map: self.world.clone(), frames, truth, start, looked_for: 0, model_sigma: None }
     }
@@ -257,7 +294,7 @@ fn wander(world: &World, driving: &Driving, seed: u64) -> Route {
 /// What a case makes of a scene; `other` is another building.
 type Maker = fn(&World, &World, usize, u64) -> Log;
 
-const CASES: [(&str, Maker); 15] = [
+const CASES: [(&str, Maker); 21] = [
     ("exact", |w, _, n, s| Drive::new(w, n, s).usual()),
     ("exact, 180 deg", |w, _, n, s| Drive { sensor: scanner(false), ..Drive::new(w, n, s) }.usual()),
     ("exact, 5 Hz without odometry", without_odometry),
@@ -276,6 +313,21 @@ const CASES: [(&str, Maker); 15] = [
         elsewhere_with(w, drive.usual(), true, s)
     }),
     ("mirrored, start given", mirrored),
+    ("far start, exact", |w, _, n, s| Drive { trouble: Trouble::FAR, ..Drive::new(w, n, s) }.usual()),
+    ("far start, 40/40", |w, _, n, s| Drive { shares: MUCH, trouble: Trouble::FAR, ..Drive::new(w, n, s) }.usual()),
+    ("far start, 40/40, walls moved", |w, _, n, s| {
+        let trouble = Trouble { walls: 0.4, ..Trouble::FAR };
+        Drive { shares: MUCH, trouble, ..Drive::new(w, n, s) }.usual()
+    }),
+    ("far start, glass", |w, _, n, s| {
+        Drive { trouble: Trouble { glass: 0.5, ..Trouble::FAR }, ..Drive::new(w, n, s) }.usual()
+    }),
+    ("far start, crowd", |w, _, n, s| {
+        Drive { trouble: Trouble { crowd: 12, ..Trouble::FAR }, ..Drive::new(w, n, s) }.usual()
+    }),
+    ("far start, 16 rows", |w, _, n, s| {
+        Drive { sensor: rows(), trouble: Trouble::FAR, ..Drive::new(w, n, s) }.usual()
+    }),
     ("carried away", carried_away),
     ("driving lidar, turn time", |w, _, n, s| turning(w, n, 0.1, s)),
     ("driving lidar, no turn time", |w, _, n, s| turning(w, n, 0.0, s)),
@@ -365,7 +417,7 @@ fn corridor(frames: usize) -> Log {
     let mut spec = scanner(true).spec().clone();
     spec.range_max = 8.0;
     let sensor = Sensor::new(spec).expect("a scanner");
-    let drive = Drive { world: &world, route, sensor, shares: EXACT, walkers: 0, hertz: 10.0, frames, seed: 1 };
+    let drive = Drive { world: &world, route, sensor, shares: EXACT, walkers: 0, hertz: 10.0, frames, seed: 1, trouble: Trouble::default() };
     let mut caster = drive.caster(EXACT);
     caster.slip = None;
     drive.log(caster, None)

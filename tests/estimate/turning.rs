@@ -49,7 +49,7 @@ fn a_given_start_is_tracked_from_its_first_frame() {
     let (world, sensor) = (room(Vec3::ZERO), camera(0.01));
     let at = |x: f64| Pose::from_xyz_rpy(DVec3::new(x, 2.0, 1.2), 0.0, 0.1, 0.3);
     let frame = sense(&world, &sensor, &at(1.0), &mut Random(3));
-    for (given, phase) in [(1.0, Phase::Tracking), (3.0, Phase::Candidates)] {
+    for (given, phase) in [(1.0, Phase::Tracking), (3.0, Phase::Kept)] {
         let prior = PoseEstimate::of_sigmas(RobotPose::new(at(given)), 0.02, 0.01);
         let mut robot = Localizer::new(estimator(EstimateOptions::default()), prior, LocalizeOptions::default());
         let step = robot.step(&world, &frame).unwrap();

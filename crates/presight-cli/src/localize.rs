@@ -29,7 +29,7 @@ const EXAMPLES: &str = "Examples:
 /// (grey/*.png), or of both; a file of ranges (a log of format 1, or a document of planar scans); a scan; or a folder
 /// of scans (.ply, .pcd, .csv, .exr). Features of --layer are detected in grey images, its reflectors in scans with
 /// intensities. With a level scanner of one row only x, y and yaw are estimated. FILE.jsonl next to FILE.tum gets
-/// covariance, state and verdicts of every frame. FILE.tum has no line for a frame whose pose is not known. Both grow
+/// covariance, state and verdicts of every frame. FILE.tum has the poses of state `tracking`. Both grow
 /// by a line as each frame comes, and stay after an error or a signal; the same command then goes on behind them. A log
 /// of ranges can come from a pipe (/dev/stdin); a device or pipe as --out gets the poses without FILE.jsonl.
 #[derive(Debug, clap::Args)]
@@ -41,6 +41,10 @@ pub struct Args {
     /// Write the poses here: lines of timestamp tx ty tz qx qy qz qw
     #[arg(long, value_name = "FILE.tum")]
     out: PathBuf,
+
+    /// Also write the poses of state `kept`, which no frame proves, to FILE.tum; FILE.jsonl names the state of each
+    #[arg(long)]
+    all_poses: bool,
 
     /// Also write the poses as a ROS 2 bag: /tf (map to odom, or to the base), /presight/pose and /diagnostics
     #[cfg(feature = "ros")]
@@ -78,7 +82,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             Some(lines) => lines,
             None => {
                 mark.as_ref().map_or(Ok(()), Mark::set)?;
-                lines.insert(Lines::open(&args.out, details.as_deref(), resumed.as_ref())?)
+                let opened = Lines::open(&args.out, details.as_deref(), resumed.as_ref())?;
+                lines.insert(Lines { all_poses: args.all_poses, ..opened })
             }
         };
         #[cfg(feature = "ros")]
@@ -114,6 +119,7 @@ fn noise_is_assumed(drive: &Drive, followed: &Followed) -> Option<String> {
 struct Lines {
     poses: GrowingFile,
     details: Option<GrowingFile>,
+    all_poses: bool,
 }
 
 impl Lines {
@@ -122,11 +128,12 @@ impl Lines {
             Some(run) => GrowingFile::reopen(path, run.lengths[k]),
             None => GrowingFile::create(path),
         };
-        Ok(Self { poses: file(poses, 0)?, details: details.map(|path| file(path, 1)).transpose()? })
+        let details = details.map(|path| file(path, 1)).transpose()?;
+        Ok(Self { poses: file(poses, 0)?, details, all_poses: false })
     }
 
     fn add(&mut self, step: &Step) -> Result<()> {
-        if step.is_known() {
+        if step.phase == Phase::Tracking || (self.all_poses && step.is_known()) {
             let (t, q) = (step.pose.world_from_robot.translation, step.pose.world_from_robot.rotation);
             // `{}` prints an f64 with all of its digits.
             self.poses.add(&format!("{} {} {} {} {} {} {} {}", step.stamp, t.x, t.y, t.z, q.x, q.y, q.z, q.w))?;
@@ -152,7 +159,7 @@ fn details(s: &Step) -> serde_json::Value {
         "time": s.stamp, "state": s.phase.name(), "reason": s.reason, "help": help(s),
         "translation": s.pose.world_from_robot.translation.to_array(),
         "rotation_xyzw": s.pose.world_from_robot.rotation.to_array(),
-        "odds": s.odds, "carried": s.carried, "covariance": s.pose.covariance, "explained": s.estimate.explained,
+        "odds": s.odds, "fit_odds": s.fit_odds, "carried": s.carried, "covariance": s.pose.covariance, "explained": s.estimate.explained,
         "model_sigma": s.estimate.model_sigma, "weak": weak, "verdicts": verdicts, "features": features,
         "predictions": s.estimate.predictions,
         "candidates": s.candidates.iter().map(candidate).collect::<Vec<_>>(),
@@ -165,6 +172,9 @@ fn help(s: &Step) -> Option<&'static str> {
         Phase::Lost | Phase::Unknown => Some(
             "--init unknown searches the whole map for the robot, at the height of --floor; --model-sigma states the \
              deviation of the map, --sensor the noise and the mount of the sensor",
+        ),
+        Phase::Kept => Some(
+            "--init-odds states how certain the start is; --all-poses writes the poses that no frame proves",
         ),
         _ if !s.estimate.weak.is_empty() => {
             Some("no measurement determines the weak directions: add odometry to the log")
@@ -186,6 +196,10 @@ pub fn summary(followed: &Followed) -> String {
     let Followed { steps, reference, .. } = followed;
     let known = steps.iter().filter(|s| s.is_known()).count();
     let mut text = format!("{known} of {} frames have a pose\n", steps.len());
+    let kept = steps.iter().filter(|s| s.phase == Phase::Kept).count();
+    if kept > 0 {
+        text += &format!("{kept} of these poses are kept, which no frame proves: --all-poses writes them, too\n");
+    }
     let changed = steps.windows(2).filter(|pair| pair[0].phase != pair[1].phase).map(|pair| &pair[1]);
     for step in steps.first().into_iter().chain(changed) {
         text += &format!("{}: {}: {}\n", step.stamp, step.phase.name(), step.reason);

@@ -37,7 +37,6 @@ struct Line {
     state: String,
     translation: [f64; 3],
     rotation_xyzw: [f64; 4],
-    candidates: Vec<serde::de::IgnoredAny>,
 }
 
 impl Mark {
@@ -62,7 +61,7 @@ impl Mark {
             |line: &str| line.split(' ').next().and_then(|t| t.parse::<f64>().ok()).is_some_and(|t| t <= last.time);
         let poses: usize =
             tum[..whole(&tum)].lines().take_while(|line| is_earlier(line)).map(|line| line.len() + 1).sum();
-        let is_known = last.state == "tracking" || (last.state == "candidates" && last.candidates.is_empty());
+        let is_known = last.state == "tracking" || last.state == "kept";
         let [x, y, z, w] = last.rotation_xyzw;
         let pose = Pose::new(last.translation.into(), glam::DQuat::from_xyzw(x, y, z, w)).ok()?;
         print::notices(&[format!(

@@ -15,6 +15,8 @@ use std::f64::consts::TAU;
 const JUMP: f64 = 0.05;
 /// A person is an upright cylinder of this radius and height, metres.
 const PERSON: (f64, f64) = (0.25, 1.75);
+/// Width of a pane of glass, metres, and the least cosine of incidence at which it returns a reading: others pass through.
+const PANE: (f64, f64) = (1.5, 0.97);
 /// Metres that a person walks before turning round, and metres per second.
 const WALK: (f64, f64) = (4.0, 1.0);
 
@@ -25,6 +27,8 @@ enum Person {
     Walks { from: DVec3, direction: DVec3, ahead: f64 },
     /// Stays at this distance ahead of the robot, metres.
     Before(f64),
+    /// Walks beside the robot, at this place from it in the world's axes, metres.
+    Along(DVec3),
 }
 
 /// Errors of odometry.
@@ -57,6 +61,8 @@ pub struct Caster {
     pub jitter: f64,
     /// `None` for a robot without odometry.
     pub slip: Option<Slip>,
+    /// Share of the upright surfaces that are glass, in panes of [`PANE`].
+    pub glass: f64,
 }
 
 impl Caster {
@@ -76,6 +82,7 @@ impl Caster {
             times: RayTimes::AtOnce,
             jitter: 0.0,
             slip,
+            glass: 0.0,
         }
     }
 
@@ -97,6 +104,17 @@ impl Caster {
     #[must_use]
     pub fn with_person_before(mut self, metres: f64) -> Self {
         self.people.push(Person::Before(metres));
+        self
+    }
+
+    /// Adds a crowd of people all round, 0.8 to 2 m from the robot, who go where it goes.
+    #[must_use]
+    pub fn with_crowd(mut self, count: usize, seed: u64) -> Self {
+        let mut random = Random(seed ^ 0xc40d);
+        for k in 0..count {
+            let (azimuth, far) = (TAU * (k as f64 + random.unit()) / count as f64, random.uniform(0.8, 2.0));
+            self.people.push(Person::Along(far * DVec3::new(azimuth.cos(), azimuth.sin(), 0.0)));
+        }
         self
     }
 
@@ -131,9 +149,23 @@ impl Caster {
         let ray = self.sensor.ray(c, r)?;
         let direction = world_from_sensor.rotation * (self.sensor.body_from_image() * ray);
         let from = world_from_sensor.translation;
-        let (range, cos) = self.oracle.hit(from, direction).unwrap_or((f64::INFINITY, 1.0));
+        let (range, cos) = self.met(from, direction).unwrap_or((f64::INFINITY, 1.0));
         let person = people.iter().filter_map(|at| person_hit(from - *at, direction)).fold(f64::INFINITY, f64::min);
         Some(if person < range { (person, 1.0) } else { (range, cos) })
+    }
+
+    /// The first surface that returns a reading, through as many panes of glass as a ray meets.
+    fn met(&self, from: DVec3, direction: DVec3) -> Option<(f64, f64)> {
+        let mut before = 0.0;
+        for _ in 0..16 {
+            let (range, cos) = self.oracle.hit(from + before * direction, direction)?;
+            let at = from + (before + range) * direction;
+            if !(self.glass > 0.0 && cos < PANE.1 && at.z > 0.05 && is_pane(at, self.glass)) {
+                return Some((before + range, cos));
+            }
+            before += range + 1e-6;
+        }
+        None
     }
 
     fn people_at(&self, robot: &Pose, time: f64) -> Vec<DVec3> {
@@ -143,6 +175,11 @@ impl Caster {
                 *from + *direction * if gone <= WALK.0 { gone } else { 2.0 * WALK.0 - gone }
             }
             Person::Before(metres) => robot.transform_point(DVec3::X * *metres).with_z(0.0),
+            // Each sways by 0.2 m at a pace of their own.
+            Person::Along(off) => {
+                let sway = 0.2 * (time * (1.0 + off.x.abs()) + off.y).sin();
+                (robot.translation + *off * (1.0 + sway)).with_z(0.0)
+            }
         };
         self.people.iter().map(place).collect()
     }
@@ -183,6 +220,12 @@ impl Caster {
             Pose { translation: distance * truth.translation, rotation: DQuat::from_axis_angle(axis, turn * angle) };
         Motion::of_odometry(measured, &OdometryNoise::default())
     }
+}
+
+/// True for this share of the places, pane by pane.
+fn is_pane(at: DVec3, share: f64) -> bool {
+    let [x, y] = [at.x, at.y].map(|v| ((v + 0.193) / PANE.0).floor() as i64 as u64);
+    Random(x.wrapping_mul(0x9e37_79b9) ^ y.wrapping_mul(0x85eb_ca6b_c2b2)).unit() < share
 }
 
 /// Metres to a person whose feet are at the origin.

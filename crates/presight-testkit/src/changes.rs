@@ -74,6 +74,25 @@ pub fn changed(map: &Environment, shares: Shares, route: &Route, seed: u64) -> (
     (real, counts)
 }
 
+/// The environment with this share of its walls moved by 0.1 to 0.3 m: upright objects that are no furniture, and not the whole
+/// building.
+pub fn with_moved_walls(map: &Environment, share: f64, seed: u64) -> Environment {
+    let (mut random, mut real, all) = (Random(seed ^ 0x3a11), map.clone(), map.bounds());
+    let size = all.max - all.min;
+    for object in map.objects().iter().filter(|o| !o.is_deleted() && !is_furniture(o)) {
+        let bounds = object.world_bounds();
+        let own = bounds.max - bounds.min;
+        let is_wall = own.z > 1.0 && own.x.min(own.y) < 0.5 * size.x.min(size.y);
+        let (is_moved, far, azimuth) = (random.unit() < share, random.uniform(0.1, 0.3), random.uniform(-PI, PI));
+        if is_wall && is_moved {
+            let mut pose = object.world_from_object;
+            pose.translation += far * DVec3::new(azimuth.cos(), azimuth.sin(), 0.0);
+            real.set_pose(&object.name, pose).expect("a sound pose");
+        }
+    }
+    real
+}
+
 /// Another pose on the same floor: turned about the middle of the object, and moved.
 fn shoved(object: &Object, random: &mut Random) -> Pose {
     let bounds = object.world_bounds();

@@ -97,7 +97,6 @@ impl Learner {
     /// [`presight_model::ErrorKind::Usage`] if the world differs from that of earlier frames; the errors of
     /// [`Frame::deskewed`].
     pub fn observe(&mut self, world: &World, step: &Step, frames: &[&Frame]) -> Result<()> {
-        let is_searching = step.phase == Phase::Candidates && !step.candidates.is_empty();
         match step.phase {
             Phase::Tracking if step.estimate.is_determined() => {
                 let moving: Vec<Cow<'_, Frame>> = frames.iter().map(|frame| step.moving(frame)).collect();
@@ -105,7 +104,7 @@ impl Learner {
                 let features = self.features(world, step, &frames)?;
                 return self.observe_with(world, &frames, &step.pose, features);
             }
-            Phase::Tracking | Phase::Candidates if !is_searching => {}
+            Phase::Tracking | Phase::Kept => {}
             // The robot was not where its estimate had it: views that are not believed yet are wrong.
             _ => self.tally.discarded += self.drive.reset(),
         }

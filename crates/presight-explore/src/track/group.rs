@@ -160,7 +160,7 @@ impl Group {
         let step = localizer.step(world, frame)?;
         // The motion is unknown before the second frame, so the measurement alone must determine all directions.
         let is_constrained = self.views.all().len() > 1 || step.estimate.weak.is_empty();
-        let is_followed = matches!(step.phase, Phase::Tracking | Phase::Candidates) && step.estimate.is_determined();
+        let is_followed = matches!(step.phase, Phase::Tracking | Phase::Kept) && step.estimate.is_determined();
         if is_constrained && is_followed && is_precise(&step.pose) {
             self.push(&step.moving(frame), &step.pose)?;
             return Ok(Some(step.pose));

@@ -4,7 +4,7 @@ use super::beside::{Beside, Look, is_apart};
 use super::hypotheses::Hypotheses;
 use super::likelihood::PoseLikelihood;
 use super::lookout::Lookout;
-use super::odds::{Odds, Said};
+use super::odds::{ASKED, Odds, Said};
 use super::reflectors::ODDS;
 use super::rivals::Rivals;
 use super::{LocalizeOptions, Localizer, Phase, State, Step, widened};
@@ -297,24 +297,13 @@ impl Localizer {
         } else if now >= tracked && known && confirmed && beside_is_clear && is_narrow {
             Phase::Tracking
         } else {
-            Phase::Candidates
+            Phase::Kept
         };
-        if phase == Phase::Candidates {
-            reason += &match () {
-                () if now < tracked => format!(", less than {tracked:.1}"),
-                () if own.odds.unproven => "; no frame proves it so far".to_owned(),
-                () if !confirmed => format!("; {} of {} frames", own.frames, options.agreeing),
-                () if !beside_is_clear => {
-                    format!("; log-odds against a neighbouring minimum {:.1}", own.beside.odds().unwrap_or_default())
-                }
-                () if !is_narrow => {
-                    format!("; unsure by {spread:.2} m and {:.1} deg", turned_of(&told).to_degrees())
-                }
-                () => String::new(),
-            };
+        if phase == Phase::Kept {
+            reason += &self.missing(&own, &told, &said, confirmed);
         }
         self.phase = phase;
-        let (pose, carried) = (told, own.carried);
+        let (pose, carried, fit_odds) = (told, own.carried, own.beside.odds());
         if phase == Phase::Tracking && hypotheses.is_none() && !own.carried {
             self.estimator.learn(&estimate);
         }
@@ -329,7 +318,34 @@ impl Localizer {
             (_, Some(hypotheses)) => State::Hypotheses(own, hypotheses),
             (_, None) => State::Following(own),
         };
-        Ok(Step { carried, ..self.told(frame, reason, pose, estimate, now) })
+        Ok(Step { carried, fit_odds, ..self.told(frame, reason, pose, estimate, now) })
+    }
+}
+
+impl Localizer {
+    /// What a pose that is followed lacks to be tracked, and what provides it.
+    fn missing(&self, own: &Followed, told: &PoseEstimate, said: &Said, confirmed: bool) -> String {
+        let (tracked, options) = (self.options.rates.tracked(), &self.options);
+        let (spread, turned) = (spread_of(told), turned_of(told).to_degrees());
+        if own.odds.now < tracked || own.odds.unproven {
+            let other = match said.rival_at {
+                _ if said.blind => "no reading has evidence".to_owned(),
+                _ if said.odds > 0.0 => format!("{:.1} by one frame prove a place", ASKED),
+                Some(at) => format!("another place, ({:.1}, {:.1}), explains as much", at.x, at.y),
+                None => "too little of the frame agrees with the map".to_owned(),
+            };
+            return format!("; {other}: drive on, or state higher odds of the start");
+        }
+        match own.beside.odds().filter(|_| !own.beside.is_clear(&options.rates)) {
+            _ if !confirmed => format!("; {} of {} frames", own.frames, options.agreeing),
+            Some(odds) => {
+                format!("; a neighbouring minimum explains nearly as much, log-odds {odds:.1} of {tracked:.1}: drive on")
+            }
+            None if !options.is_narrow(told) => {
+                format!("; uncertain by {spread:.2} m and {turned:.1} deg: drive to where more is seen")
+            }
+            None => String::new(),
+        }
     }
 }
 

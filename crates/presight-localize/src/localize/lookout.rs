@@ -209,7 +209,7 @@ impl Localizer {
             let prior = own.belief;
             let estimate = self.estimator.refine(world, frame, &prior)?;
             let reason = format!("the robot is where it was followed to; log-odds {:.1}", own.odds.now);
-            let phase = if self.options.is_narrow(&prior) { Phase::Tracking } else { Phase::Candidates };
+            let phase = if self.options.is_narrow(&prior) { Phase::Tracking } else { Phase::Kept };
             return Ok(self.found(frame, own.clone(), phase, reason, estimate));
         }
         let Some((odds, count)) = best else {
@@ -268,17 +268,17 @@ impl Localizer {
         }
         let told = own.beside.widened(&own.belief);
         let is_clear = own.beside.is_clear(&self.options.rates) && self.options.is_narrow(&told);
-        let phase = if is_clear { Phase::Tracking } else { Phase::Candidates };
+        let phase = if is_clear { Phase::Tracking } else { Phase::Kept };
         Ok(Step { pose: told, ..self.found(frames[0], own, phase, why, estimate) })
     }
 
     fn found(&mut self, frame: &Frame, own: Followed, phase: Phase, why: String, estimate: Estimate) -> Step {
-        let (pose, odds) = (own.belief, own.odds.now);
+        let (pose, odds, fit_odds) = (own.belief, own.odds.now, own.beside.odds());
         self.phase = phase;
         self.velocity.restart();
         self.state = State::Following(own);
         let estimate = Estimate { state: EstimateState::Determined, ..estimate };
-        self.told(frame, why, pose, estimate, odds)
+        Step { fit_odds, ..self.told(frame, why, pose, estimate, odds) }
     }
 
     pub(super) fn told(
@@ -290,7 +290,7 @@ impl Localizer {
         odds: f64,
     ) -> Step {
         let (phase, stamp) = (self.phase, frame.stamp);
-        let (candidates, carried, scan_motion) = (Vec::new(), false, None);
-        Step { stamp, phase, reason, pose, estimate, candidates, odds, carried, scan_motion }
+        let (candidates, carried, scan_motion, fit_odds) = (Vec::new(), false, None, None);
+        Step { stamp, phase, reason, pose, estimate, candidates, odds, fit_odds, carried, scan_motion }
     }
 }

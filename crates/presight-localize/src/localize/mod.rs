@@ -51,13 +51,15 @@ use std::borrow::Cow;
 /// What a localizer knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// Not where the robot is; it is looked for in the whole map, or without a [`Search`] around where it was last.
+    /// The pose is unknown: the whole map is searched, or without a [`Search`] the surroundings of the last pose.
     Unknown,
-    /// One pose or several explain the frames; the odds do not suffice to rely on one.
+    /// Several places may explain the frames: [`Step::candidates`].
     Candidates,
-    /// Where the robot is.
+    /// One pose is followed, and no frame has proven it yet, or no longer: [`Step::reason`] says what is missing.
+    Kept,
+    /// One pose is followed and proven: it is wrong at most as often as [`ErrorRates::wrong`] allows.
     Tracking,
-    /// No longer where the robot is.
+    /// The pose that was followed is refuted.
     Lost,
 }
 
@@ -67,6 +69,7 @@ impl Phase {
         match self {
             Self::Unknown => "unknown",
             Self::Candidates => "candidates",
+            Self::Kept => "kept",
             Self::Tracking => "tracking",
             Self::Lost => "lost",
         }
@@ -88,8 +91,11 @@ pub struct Step {
     pub estimate: Estimate,
     /// Where the robot may be after an unknown start, the likeliest first. Empty while one pose is followed.
     pub candidates: Vec<Candidate>,
-    /// Natural logarithm of the odds of the pose against all of its rivals.
+    /// Natural logarithm of the odds of the pose against other places of the map and against none of this map.
     pub odds: f64,
+    /// Natural logarithm of the odds of the pose against its neighbouring minima; `None` until they are searched. The covariance
+    /// covers the likeliest of them.
+    pub fit_odds: Option<f64>,
     /// True if the frame had no evidence for the pose, which was carried on by odometry or the last motion.
     pub carried: bool,
     /// The motion of the robot during the scan, as the estimate has it; `None` if all rays are measured at once. With it
@@ -100,7 +106,7 @@ pub struct Step {
 impl Step {
     /// True if one pose is followed: it was given at the start, or it was found.
     pub fn is_known(&self) -> bool {
-        self.phase == Phase::Tracking || (self.phase == Phase::Candidates && self.candidates.is_empty())
+        matches!(self.phase, Phase::Tracking | Phase::Kept)
     }
 
     /// A frame of this step with the motion that was found for its scan, if it takes time.
@@ -209,7 +215,7 @@ impl Localizer {
             options,
             start: prior,
             state: State::Following(Followed { is_given: true, ..Followed::new(prior, odds) }),
-            phase: Phase::Candidates,
+            phase: Phase::Kept,
             velocity: Velocity::new(options.motion_noise),
             timing: Timing::default(),
             stamp: None,

@@ -19,7 +19,7 @@ const SUDDEN: f64 = 3.0;
 /// What a place has to lead by before it counts as singled out once more, natural logarithm: a wrong place does by chance in
 /// one of 100 frames. Right places of two buildings with 15 % gone and 15 % moved led by more in 78 of 80 scans, with 40 %
 /// and 40 % in 57 of 80.
-const ASKED: f64 = 4.6;
+pub(super) const ASKED: f64 = 4.6;
 /// A wrong place that nobody selected is better than the best of 192 rivals, the fewest there are, with a probability of 1 in
 /// 193; natural logarithm.
 const UNSELECTED: f64 = 5.26;
@@ -33,6 +33,8 @@ const FORGET: f64 = 0.2;
 pub(super) struct Null {
     /// Evidence of the best of all wrong places; at least that of "nothing of this map", 0.
     pub best: f64,
+    /// Where the best of them is; `None` for "nothing of this map", or if that was not looked at.
+    pub best_at: Option<DVec3>,
     /// Evidence of the median of the best ones.
     pub usual: f64,
     /// The scale of the tail: evidence that is worth a factor of e.
@@ -57,7 +59,7 @@ impl Null {
         let scale = (mean * (1.0 + error)).clamp(readings / DEPENDENT.0, readings / DEPENDENT.1);
         let at = |k: usize| wrong.get(k).copied().unwrap_or(0.0);
         // Nothing of this map is a rival, too: its evidence is 0.
-        Self { best: at(0).max(0.0), usual: at(wrong.len() / 2), scale, pool }
+        Self { best: at(0).max(0.0), best_at: None, usual: at(wrong.len() / 2), scale, pool }
     }
 
     /// What evidence says for a pose: its lead over the best rival, its lag behind a usual one, or nothing between.
@@ -72,7 +74,7 @@ impl Null {
     pub fn said(&self, details: Details, rival: f64) -> Said {
         let Details { evidence, full, pieces } = details;
         let (odds, rival) = (self.odds_of(evidence, rival), self.best.max(rival));
-        Said { odds, evidence, full, rival, scale: self.scale, deciding: 1.0, blind: false, pieces }
+        Said { odds, evidence, full, rival, rival_at: self.best_at, scale: self.scale, deciding: 1.0, blind: false, pieces }
     }
 }
 
@@ -145,6 +147,8 @@ pub(super) struct Said {
     pub full: f64,
     /// Evidence of the best rival.
     pub rival: f64,
+    /// Where it is, in the map, if it is a place.
+    pub rival_at: Option<DVec3>,
     /// Scale of the null.
     pub scale: f64,
     /// Share of the readings that are not before the map's surfaces: readings before them say nothing about the map.
@@ -175,6 +179,7 @@ impl Said {
         evidence: 0.0,
         full: 0.0,
         rival: 0.0,
+        rival_at: None,
         scale: 1.0,
         deciding: 0.0,
         blind: true,
@@ -338,6 +343,7 @@ mod tests {
             evidence,
             full: 200.0,
             rival: evidence - 10.0 * odds,
+            rival_at: None,
             scale: 10.0,
             deciding: 1.0,
             blind: false,

@@ -244,7 +244,8 @@ impl Rivals {
             }
         }
         let logs: Vec<f64> = distinct.iter().map(|(log, _)| *log).collect();
-        let null = Null::new(&logs, self.readings(frame)?, self.null.as_ref());
+        let mut null = Null::new(&logs, self.readings(frame)?, self.null.as_ref());
+        null.best_at = distinct.first().filter(|(log, _)| *log > 0.0).map(|(_, pose)| pose.translation);
         self.null = Some(null.clone());
         Ok(null)
     }

@@ -75,7 +75,7 @@ impl Localizer {
             step.estimate.verdicts.clear();
             if step.phase == Phase::Tracking {
                 // Few pixels find a pose; a whole frame has to prove it.
-                (step.phase, self.phase) = (Phase::Candidates, Phase::Candidates);
+                (step.phase, self.phase) = (Phase::Kept, Phase::Kept);
                 if let State::Following(own) = &mut self.state {
                     own.odds.unproven = true;
                 }

@@ -12,7 +12,7 @@ pub struct Leaf {
     pub picture: String,
     /// Time stamp, seconds.
     pub time: f64,
-    /// State of the localizer: `unknown`, `candidates`, `tracking` or `lost`.
+    /// State of the localizer: `unknown`, `candidates`, `kept`, `tracking` or `lost`.
     pub state: &'static str,
     /// Reason for the state, with numbers.
     pub reason: String,
@@ -41,7 +41,7 @@ pub struct Leaf {
 }
 
 /// States, and their colour variables in the style sheet.
-const STATES: [(&str, &str); 4] = [("tracking", "--s2"), ("candidates", "--s3"), ("lost", "--s1"), ("unknown", "--s7")];
+const STATES: [(&str, &str); 5] = [("tracking", "--s2"), ("kept", "--s5"), ("candidates", "--s3"), ("lost", "--s1"), ("unknown", "--s7")];
 /// Side of the plan, pixels.
 const SIDE: f64 = 420.0;
 
