@@ -242,7 +242,17 @@ impl<'a> Drive<'a> {
     fn new(world: &'a World, frames: usize, seed: u64) -> Self {
         let driving = Driving { seconds: 0.1 * frames as f64 + 1.0, speed: 0.7, turn: 0.7 };
         let route = wander(world, &driving, seed);
-        Self { world, route, sensor: scanner(true), shares: EXACT, walkers: 3, hertz: 10.0, frames, seed, trouble: Trouble::default() }
+        Self {
+            world,
+            route,
+            sensor: scanner(true),
+            shares: EXACT,
+            walkers: 3,
+            hertz: 10.0,
+            frames,
+            seed,
+            trouble: Trouble::default(),
+        }
     }
 
     fn caster(&self, shares: Shares) -> Caster {
@@ -252,9 +262,7 @@ impl<'a> Drive<'a> {
         }
         let mut caster = Caster::new(&real, self.sensor.clone(), self.seed);
         caster.glass = self.trouble.glass;
-        caster
-            .with_walkers(self.walkers, &self.route, self.seed)
-            .with_crowd(self.trouble.crowd, self.seed)
+        caster.with_walkers(self.walkers, &self.route, self.seed).with_crowd(self.trouble.crowd, self.seed)
     }
 
     /// The log by a caster, which changes at a frame to the one of other shares.
@@ -325,9 +333,7 @@ const CASES: [(&str, Maker); 21] = [
     ("far start, crowd", |w, _, n, s| {
         Drive { trouble: Trouble { crowd: 12, ..Trouble::FAR }, ..Drive::new(w, n, s) }.usual()
     }),
-    ("far start, 16 rows", |w, _, n, s| {
-        Drive { sensor: rows(), trouble: Trouble::FAR, ..Drive::new(w, n, s) }.usual()
-    }),
+    ("far start, 16 rows", |w, _, n, s| Drive { sensor: rows(), trouble: Trouble::FAR, ..Drive::new(w, n, s) }.usual()),
     ("carried away", carried_away),
     ("driving lidar, turn time", |w, _, n, s| turning(w, n, 0.1, s)),
     ("driving lidar, no turn time", |w, _, n, s| turning(w, n, 0.0, s)),
@@ -417,7 +423,17 @@ fn corridor(frames: usize) -> Log {
     let mut spec = scanner(true).spec().clone();
     spec.range_max = 8.0;
     let sensor = Sensor::new(spec).expect("a scanner");
-    let drive = Drive { world: &world, route, sensor, shares: EXACT, walkers: 0, hertz: 10.0, frames, seed: 1, trouble: Trouble::default() };
+    let drive = Drive {
+        world: &world,
+        route,
+        sensor,
+        shares: EXACT,
+        walkers: 0,
+        hertz: 10.0,
+        frames,
+        seed: 1,
+        trouble: Trouble::default(),
+    };
     let mut caster = drive.caster(EXACT);
     caster.slip = None;
     drive.log(caster, None)

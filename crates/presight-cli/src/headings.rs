@@ -51,6 +51,7 @@ const HEADINGS: [Heading; 23] = [
             "csv",
             "keepout",
             "apply",
+            "all-poses",
         ],
     ),
     special(

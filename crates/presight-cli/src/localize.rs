@@ -173,9 +173,9 @@ fn help(s: &Step) -> Option<&'static str> {
             "--init unknown searches the whole map for the robot, at the height of --floor; --model-sigma states the \
              deviation of the map, --sensor the noise and the mount of the sensor",
         ),
-        Phase::Kept => Some(
-            "--init-odds states how certain the start is; --all-poses writes the poses that no frame proves",
-        ),
+        Phase::Kept => {
+            Some("--init-odds states how certain the start is; --all-poses writes the poses that no frame proves")
+        }
         _ if !s.estimate.weak.is_empty() => {
             Some("no measurement determines the weak directions: add odometry to the log")
         }

@@ -246,7 +246,7 @@ fn other_serializations_and_types() {
     mounted(&place, [Record { data: vec![0, 1, 0, 0, 1, 2], ..of_scan(START, |_| ()) }]);
     refused(&place, "", 1, &["/scan", "; "]);
     mounted(&place, [Record { data: vec![], ..of_scan(START, |_| ()) }]);
-    refused(&place, "", 1, &["/scan", "no header"]);
+    refused(&place, "", 1, &["/scan", "no whole message"]);
 }
 
 #[test]

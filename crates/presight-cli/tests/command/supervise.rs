@@ -148,7 +148,8 @@ fn bad_input_is_refused_in_one_line() {
             bad("query docking.rhai --free nan,0,0".to_owned(), 2, &["--free", "3 finite numbers"]),
             bad("query docking.rhai --along way.json".to_owned(), 2, &["--along", "; give the robot's --pose"]),
             bad("query docking.rhai --path 3,0.05,0 0,0,0".to_owned(), 2, &["--path", "the start", "pillar", "; "]),
-            bad("query docking.rhai --path 0,0,0 90,0,0".to_owned(), 2, &["the end", "no floor", "; "]),
+            bad("query docking.rhai --path 0,0,0 90,0,0".to_owned(), 2, &["the end", "no floor", "; "])
+                .after_a_notice(),
             bad("query docking.rhai --path 0,0,0 1,0,0 --radius nan".to_owned(), 2, &["radius", "; "]),
             bad(
                 "query docking.rhai --path 0,0,0 1,0,0 --blocked broken.jsonl".to_owned(),

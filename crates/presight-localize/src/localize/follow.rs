@@ -339,7 +339,9 @@ impl Localizer {
         match own.beside.odds().filter(|_| !own.beside.is_clear(&options.rates)) {
             _ if !confirmed => format!("; {} of {} frames", own.frames, options.agreeing),
             Some(odds) => {
-                format!("; a neighbouring minimum explains nearly as much, log-odds {odds:.1} of {tracked:.1}: drive on")
+                format!(
+                    "; a neighbouring minimum explains nearly as much, log-odds {odds:.1} of {tracked:.1}: drive on"
+                )
             }
             None if !options.is_narrow(told) => {
                 format!("; uncertain by {spread:.2} m and {turned:.1} deg: drive to where more is seen")

@@ -74,7 +74,17 @@ impl Null {
     pub fn said(&self, details: Details, rival: f64) -> Said {
         let Details { evidence, full, pieces } = details;
         let (odds, rival) = (self.odds_of(evidence, rival), self.best.max(rival));
-        Said { odds, evidence, full, rival, rival_at: self.best_at, scale: self.scale, deciding: 1.0, blind: false, pieces }
+        Said {
+            odds,
+            evidence,
+            full,
+            rival,
+            rival_at: self.best_at,
+            scale: self.scale,
+            deciding: 1.0,
+            blind: false,
+            pieces,
+        }
     }
 }
 

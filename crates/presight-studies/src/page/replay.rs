@@ -41,7 +41,8 @@ pub struct Leaf {
 }
 
 /// States, and their colour variables in the style sheet.
-const STATES: [(&str, &str); 5] = [("tracking", "--s2"), ("kept", "--s5"), ("candidates", "--s3"), ("lost", "--s1"), ("unknown", "--s7")];
+const STATES: [(&str, &str); 5] =
+    [("tracking", "--s2"), ("kept", "--s5"), ("candidates", "--s3"), ("lost", "--s1"), ("unknown", "--s7")];
 /// Side of the plan, pixels.
 const SIDE: f64 = 420.0;
 

@@ -152,6 +152,12 @@ fn chosen_topic<'a>(survey: &'a Survey, name: Option<&str>) -> Result<(&'a Topic
                     "record it with serialization format cdr",
                 ));
             }
+            let types = [LaserScan::TYPE, PointCloud2::TYPE, Image::TYPE, CompressedImage::TYPE];
+            let is_unread = |t: &&TopicSurvey| types.contains(&t.topic.message_type.as_str()) && t.count == 0;
+            if let Some(unread) = survey.topics.iter().find(is_unread) {
+                let what = format!("the bag has no whole message of {}", unread.topic.name);
+                return Err(Error::invalid(what, "record it again; these are empty, cut, or of another type"));
+            }
             let remedy = "record a LaserScan, a PointCloud2, or depth or grey images with their CameraInfo";
             Err(Error::invalid("the bag has no measurement", remedy))
         }

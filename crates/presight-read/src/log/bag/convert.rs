@@ -101,6 +101,10 @@ impl Converter {
         let geometry = Geometry::Scanner(Scanner { azimuth, elevation, beam_height_deg: None });
         let own = RayTimes::turning(self.turn_of(&scan), StampAt::First);
         let times = self.given_times().unwrap_or(own);
+        if scan.range_min.is_nan() || scan.range_max.is_nan() {
+            let what = format!("range_min is {}, range_max is {}", scan.range_min, scan.range_max);
+            return Err(Error::invalid(what, "the driver must state the limits of its ranges, or 0 for both"));
+        }
         let limits = (f64::from(scan.range_min.max(0.0)), f64::from(scan.range_max));
         let limits = (limits.1 > limits.0).then_some(limits);
         let sensor = self.sensor(&scan.header.frame_id, "laser", geometry, limits, times)?;
