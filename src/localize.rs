@@ -34,7 +34,7 @@
 //!     let truth = RobotPose::from_xyz_rpy(DVec3::new(1.0 + 0.2 * f64::from(k), 1.2, 0.0), 0.0, 0.0, 0.4);
 //!     let step = localizer.step(&world, &simulator.frame(&world, f64::from(k), &truth)?)?;
 //!     // One scan is not enough; the fifth is.
-//!     assert!(k > 0 || step.phase == Phase::Kept, "{}", step.reason);
+//!     assert!(k > 0 || step.phase == Phase::Candidates, "{}", step.reason);
 //!     assert!(k < 4 || step.phase == Phase::Tracking, "{}", step.reason);
 //!     assert!(step.pose.world_from_robot.translation.distance(truth.world_from_robot().translation) < 0.05);
 //! }

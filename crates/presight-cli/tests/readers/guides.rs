@@ -143,7 +143,9 @@ fn failure_in_examples(blocks: &[String]) -> Option<String> {
 fn commands_of_page(page: &str) -> Vec<String> {
     let of_blocks = blocks(page).into_iter().filter(|(language, _)| *language == "sh").map(|(_, code)| code);
     let cell = |line: &str| line.strip_prefix("| `presight ").and_then(|rest| Some(rest.split_once('`')?.0.to_owned()));
-    let of_tables = page.lines().filter_map(cell).map(|words| format!("presight {words}"));
+    // A name alone is no command to run.
+    let of_tables =
+        page.lines().filter_map(cell).filter(|words| words.contains(' ')).map(|words| format!("presight {words}"));
     of_blocks.chain(of_tables.filter(|line| !serves(line))).collect()
 }
 
