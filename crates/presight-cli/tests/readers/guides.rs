@@ -213,7 +213,7 @@ fn every_command_of_the_guides_runs() {
         failures.extend(failure_in_examples(&commands).map(|why| format!("{}: {why}", path.display())));
     }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
-    assert!(count >= 40 && marked <= MAX_NOT_RUN, "{count} run, {marked} are marked");
+    assert!(count >= 35 && marked <= MAX_NOT_RUN, "{count} run, {marked} are marked");
 }
 
 #[test]
