@@ -65,7 +65,7 @@ def test_the_robot_moves_meanwhile(room, cpu, tmp_path):
     # Planted: standing, and driving the other way.
     for fault in ({}, {"twist": [-0.5, 0, 0, 0, 0, 0]}):
         other = cpu.predict(room, sensor, pose, **fault)["range"]
-        assert np.mean(np.abs(other - ranges["twist"])[hit] > 1e-3) > 0.5, fault
+        assert np.mean(np.abs(other - ranges["twist"])[hit] > 1e-3) > 0.3, fault
     poses = [pose, [1, 1.6, 0.5, 0, 0, 80], end]
     many = cpu.predict_many(room, sensor, poses, twist=[0.5, 0, 0, 0, 0, 0])["range"]
     parts = list(cpu.predict_chunks(room, sensor, poses, size=2, twist=[0.5, 0, 0, 0, 0, 0]))

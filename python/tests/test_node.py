@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import data, done, skip
+from conftest import data, done
 
 import presight
 
@@ -35,7 +35,7 @@ def rclpy():
         environment["ROS_LOCALHOST_ONLY"] = "1"
     found = subprocess.run([python, "-c", "import rclpy, presight"], env=environment, capture_output=True, text=True)
     if found.returncode != 0:
-        skip(f"{python} has no rclpy; PRESIGHT_RCLPY names a Python that has: {found.stderr.strip()[-200:]}")
+        pytest.skip(f"{python} has no rclpy; PRESIGHT_RCLPY names a Python that has: {found.stderr.strip()[-200:]}")
     return python, environment
 
 

@@ -90,5 +90,5 @@ fn sensor_files_in_other_units_are_noted() {
         said(&spec().with_mount(mount(400.0, 0.0)))
             .contains("400 m from the origin of the robot: is it in millimetres?")
     );
-    assert!(said(&spec().with_mount(mount(0.4, 1.5708))).contains("is 90 degrees in radians"));
+    assert!(said(&spec().with_mount(mount(0.4, std::f64::consts::FRAC_PI_2))).contains("is 90 degrees in radians"));
 }

@@ -160,7 +160,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     args = parser().parse_args(given[: given.index("--ros-args")] if "--ros-args" in given else given)
     try:
-        import rclpy
+        import rclpy  # type: ignore[import-not-found]
         import rclpy.exceptions  # type: ignore[import-not-found]
         import rclpy.executors  # type: ignore[import-not-found]
     except ImportError:
