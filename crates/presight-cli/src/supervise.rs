@@ -14,7 +14,7 @@ use presight::localize::{Phase, Step};
 use presight::measured::Frame;
 #[cfg(feature = "ros")]
 use presight::ros::{MarkerKind, MessageOrigin, Record, SceneMarker};
-use presight::supervise::{CellState, Cells, Intrusion, Report, SuperviseOptions, Supervisor, UnseenReason};
+use presight::supervise::{CellState, Intrusion, Report, SuperviseOptions, Supervisor, UnseenReason};
 use presight::tools::GrowingFile;
 use presight::virtual_sensors::{Corridor, CorridorFrame};
 use presight::{Backend, Error, Options, Pose, Predictor, Result, Scene, Threads};
@@ -289,7 +289,12 @@ fn intrusion(scene: &Scene, i: &Intrusion, world_from_robot: Option<&Pose>) -> V
 /// The cells of the corridor that are not free, and the boxes of intrusions: intruded cells red, known ones green,
 /// unseen ones grey.
 #[cfg(feature = "ros")]
-fn corridor_markers(cells: &Cells, report: &Report, origin: &MessageOrigin, corridor: &Corridor) -> Record {
+fn corridor_markers(
+    cells: &presight::supervise::Cells,
+    report: &Report,
+    origin: &MessageOrigin,
+    corridor: &Corridor,
+) -> Record {
     const GREY: [f32; 4] = [0.5, 0.5, 0.5, 0.15];
     const GREEN: [f32; 4] = [0.1, 0.8, 0.2, 0.4];
     const RED: [f32; 4] = [0.9, 0.1, 0.1, 0.8];

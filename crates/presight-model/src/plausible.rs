@@ -206,6 +206,7 @@ impl Speeds {
 }
 
 #[cfg(test)]
+#[expect(clippy::approx_constant, reason = "angles as people round them")]
 mod tests {
     use super::*;
     use crate::geometry::Pose;
