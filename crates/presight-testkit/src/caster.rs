@@ -61,7 +61,7 @@ pub struct Caster {
     pub jitter: f64,
     /// `None` for a robot without odometry.
     pub slip: Option<Slip>,
-    /// Share of the upright surfaces that are glass, in panes of [`PANE`].
+    /// Share of the upright surfaces that are glass, in panes 1.5 m wide.
     pub glass: f64,
 }
 

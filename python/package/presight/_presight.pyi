@@ -14,6 +14,7 @@ __all__ = [
     "Features",
     "Frame",
     "Layer",
+    "Learner",
     "Localizer",
     "Log",
     "Messages",
@@ -419,6 +420,7 @@ class Learner:
     def findings(self) -> list[str]: ...
     def write(self, folder: _Path, time: float = 0.0) -> int: ...
 
+@final
 class Messages:
     def __new__(
         cls,
