@@ -51,7 +51,6 @@ const HEADINGS: [Heading; 23] = [
             "csv",
             "keepout",
             "apply",
-            "all-poses",
         ],
     ),
     special(

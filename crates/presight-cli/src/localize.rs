@@ -29,7 +29,7 @@ const EXAMPLES: &str = "Examples:
 /// (grey/*.png), or of both; a file of ranges (a log of format 1, or a document of planar scans); a scan; or a folder
 /// of scans (.ply, .pcd, .csv, .exr). Features of --layer are detected in grey images, its reflectors in scans with
 /// intensities. With a level scanner of one row only x, y and yaw are estimated. FILE.jsonl next to FILE.tum gets
-/// covariance, state and verdicts of every frame. FILE.tum has the poses of state `tracking`. Both grow
+/// covariance, state and verdicts of every frame. FILE.tum has the poses of states `tracking` and `kept`. Both grow
 /// by a line as each frame comes, and stay after an error or a signal; the same command then goes on behind them. A log
 /// of ranges can come from a pipe (/dev/stdin); a device or pipe as --out gets the poses without FILE.jsonl.
 #[derive(Debug, clap::Args)]
@@ -41,10 +41,6 @@ pub struct Args {
     /// Write the poses here: lines of timestamp tx ty tz qx qy qz qw
     #[arg(long, value_name = "FILE.tum")]
     out: PathBuf,
-
-    /// Also write the poses of state `kept`, which no frame proves, to FILE.tum; FILE.jsonl names the state of each
-    #[arg(long)]
-    all_poses: bool,
 
     /// Also write the poses as a ROS 2 bag: /tf (map to odom, or to the base), /presight/pose and /diagnostics
     #[cfg(feature = "ros")]
@@ -82,8 +78,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             Some(lines) => lines,
             None => {
                 mark.as_ref().map_or(Ok(()), Mark::set)?;
-                let opened = Lines::open(&args.out, details.as_deref(), resumed.as_ref())?;
-                lines.insert(Lines { all_poses: args.all_poses, ..opened })
+                lines.insert(Lines::open(&args.out, details.as_deref(), resumed.as_ref())?)
             }
         };
         #[cfg(feature = "ros")]
@@ -119,7 +114,6 @@ fn noise_is_assumed(drive: &Drive, followed: &Followed) -> Option<String> {
 struct Lines {
     poses: GrowingFile,
     details: Option<GrowingFile>,
-    all_poses: bool,
 }
 
 impl Lines {
@@ -128,12 +122,11 @@ impl Lines {
             Some(run) => GrowingFile::reopen(path, run.lengths[k]),
             None => GrowingFile::create(path),
         };
-        let details = details.map(|path| file(path, 1)).transpose()?;
-        Ok(Self { poses: file(poses, 0)?, details, all_poses: false })
+        Ok(Self { poses: file(poses, 0)?, details: details.map(|path| file(path, 1)).transpose()? })
     }
 
     fn add(&mut self, step: &Step) -> Result<()> {
-        if step.phase == Phase::Tracking || (self.all_poses && step.is_known()) {
+        if step.is_known() {
             let (t, q) = (step.pose.world_from_robot.translation, step.pose.world_from_robot.rotation);
             // `{}` prints an f64 with all of its digits.
             self.poses.add(&format!("{} {} {} {} {} {} {} {}", step.stamp, t.x, t.y, t.z, q.x, q.y, q.z, q.w))?;
@@ -173,9 +166,7 @@ fn help(s: &Step) -> Option<&'static str> {
             "--init unknown searches the whole map for the robot, at the height of --floor; --model-sigma states the \
              deviation of the map, --sensor the noise and the mount of the sensor",
         ),
-        Phase::Kept => {
-            Some("--init-odds states how certain the start is; --all-poses writes the poses that no frame proves")
-        }
+        Phase::Kept => Some("no frame proves the pose so far: drive on; --init-odds states how certain the start is"),
         _ if !s.estimate.weak.is_empty() => {
             Some("no measurement determines the weak directions: add odometry to the log")
         }
@@ -198,7 +189,7 @@ pub fn summary(followed: &Followed) -> String {
     let mut text = format!("{known} of {} frames have a pose\n", steps.len());
     let kept = steps.iter().filter(|s| s.phase == Phase::Kept).count();
     if kept > 0 {
-        text += &format!("{kept} of these poses are kept, which no frame proves: --all-poses writes them, too\n");
+        text += &format!("{kept} of these poses are of state kept: no frame proves them\n");
     }
     let changed = steps.windows(2).filter(|pair| pair[0].phase != pair[1].phase).map(|pair| &pair[1]);
     for step in steps.first().into_iter().chain(changed) {
