@@ -51,6 +51,28 @@ def test_a_bag_opens_with_its_choices():
         presight.Log.open(bag, topic="/other")
 
 
+def test_odometry_may_come_in_front_of_an_older_scan():
+    """A scan that waits in a driver comes behind the odometry of the next one: the motions are the same."""
+    reader = pytest.importorskip("mcap.reader")
+    with open(data("ros/malaga_zstd.mcap"), "rb") as file:
+        taken = reader.make_reader(file).iter_messages(topics=["/odom", "/scan"])
+        recorded = [(channel.topic, schema.name, message.data) for schema, channel, message in taken][:6]
+    assert [topic for topic, *_ in recorded] == ["/odom", "/scan"] * 3
+
+    def motions(order):
+        messages, found = presight.Messages(mount=[0.78, 0, 0.3, 0, 0, 0]), []
+        for k in order:
+            messages.add(*recorded[k])
+            if (frame := messages.frame()) is not None:
+                found.append(frame.odometry)
+        return found
+
+    first, *expected = motions(range(6))
+    assert first is None and len(expected) == 2 and all(motion is not None for motion in expected)
+    late = motions([0, 2, 1, 3, 4, 5])
+    assert late[0] is None and all(same(a, b) for a, b in zip(late[1:], expected, strict=True))
+
+
 def test_a_learner_finds_what_the_command_finds(tmp_path):
     bag, model = data("ros/malaga_zstd.mcap"), data("lidar2d/malaga_corridor_map.glb")
     flags = ["--init", "unknown", "--model-sigma", "0.03", "--out", tmp_path / "command"]

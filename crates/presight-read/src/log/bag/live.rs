@@ -12,6 +12,10 @@ use presight_ros::message::{CameraInfo, Header, Message, Odometry, TFMessage};
 use presight_ros::{FrameTree, Lookup, Record, clean_frame_id, is_static_topic};
 use std::sync::{Arc, Mutex, PoisonError};
 
+/// How long transforms are kept before the first measurement, nanoseconds: a measurement may come behind younger odometry. It is
+/// tf2's default.
+const KEPT_NS: i64 = 10_000_000_000;
+
 /// Frames of one sensor from messages that come one by one, by the rules for bags. Topics are distinguished by their
 /// types: the topic of the options is the measured one, every other message is a transform, an odometry or a
 /// `CameraInfo`.
@@ -94,7 +98,7 @@ impl LiveFrames {
                 continue;
             }
             if !is_static && self.stream.is_none() {
-                self.tree.forget_before(header.stamp_ns);
+                self.tree.forget_before(header.stamp_ns - KEPT_NS);
             }
         }
         if let Some(stream) = &mut self.stream {
@@ -113,7 +117,7 @@ impl LiveFrames {
         let Odometry { header, child_frame_id, odom_from_child, .. } = Odometry::decode(data)?;
         let Some(pose) = odom_from_child else { return Ok(()) };
         self.tree.insert(&frame, &child_frame_id, header.stamp_ns, pose, false)?;
-        self.tree.forget_before(header.stamp_ns);
+        self.tree.forget_before(header.stamp_ns - KEPT_NS);
         self.odom = Some(frame);
         Ok(())
     }
