@@ -119,28 +119,6 @@ fn parsed<S: serde::de::DeserializeOwned>(text: &str) -> Result<File<S>> {
         .map_err(|e| Error::invalid(format!("not a valid log: {e}"), REMEDY).at(format!("line {}", e.line().max(1))))
 }
 
-impl<S> File<S> {
-    fn with_scans<T>(self, f: impl FnMut(S) -> T) -> File<T> {
-        let scans = self.scans.into_iter().map(f).collect();
-        let Self { beams, angle_min, angle_max, counter_clockwise, range_min, range_max, range_std, .. } = self;
-        let Self { turn_s, stamp, sensor_on_robot, scan, .. } = self;
-        File {
-            beams,
-            angle_min,
-            angle_max,
-            counter_clockwise,
-            range_min,
-            range_max,
-            range_std,
-            turn_s,
-            stamp,
-            sensor_on_robot,
-            scan,
-            scans,
-        }
-    }
-}
-
 impl Document {
     pub(super) fn parse(path: &Path, text: Vec<u8>, faults: Faults) -> Result<Self> {
         if text.len() as u64 > limits::MAX_LINE_BYTES {
@@ -150,13 +128,19 @@ impl Document {
         let text = String::from_utf8(text).map_err(|_| Error::invalid("it is not UTF-8", "save it as UTF-8 text"))?;
         check_json_memory(&text)?;
         let text = with_quoted_words(&text);
-        let file: File<Result<Scan>> = match faults {
-            Faults::End => parsed(&text)?.with_scans(Ok),
-            Faults::Pass => parsed(&text)?.with_scans(|MaybeScan(scan)| scan),
-        };
         let name = path.file_stem().map_or_else(|| "scanner".into(), |s| s.to_string_lossy().into_owned());
-        let sensor = spec(&file, name).and_then(Sensor::new)?;
-        let scans = file.scans.into_iter().enumerate();
+        // A fault of a scan that ends the log has its line.
+        let (sensor, scans): (Sensor, Vec<Result<Scan>>) = match faults {
+            Faults::End => {
+                let file: File<Scan> = parsed(&text)?;
+                (spec(&file, name).and_then(Sensor::new)?, file.scans.into_iter().map(Ok).collect())
+            }
+            Faults::Pass => {
+                let file: File<MaybeScan> = parsed(&text)?;
+                (spec(&file, name).and_then(Sensor::new)?, file.scans.into_iter().map(|MaybeScan(scan)| scan).collect())
+            }
+        };
+        let scans = scans.into_iter().enumerate();
         Ok(Self { path: path.to_owned(), sensor, scans, time: None, ended: false, faults, index: 0 })
     }
 

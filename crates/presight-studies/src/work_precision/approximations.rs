@@ -7,7 +7,7 @@ use crate::{csv_field, median};
 use glam::DVec3;
 use presight_model::error::Result;
 use presight_model::geometry::{Pose, SensorPose, Twist};
-use presight_model::measured::ScanMotion;
+use presight_model::measured::{Frame, Measurement, ScanMotion};
 use presight_model::sensor::{BeamTable, Geometry, RayTable, RayTimes, Sensor, SensorSpec};
 use presight_model::world::World;
 use presight_predict::predict::{Backend, Options, Predictor};
@@ -140,8 +140,12 @@ fn costs_on(scene: &Scene, sensor: &Sensor, twist: Twist) -> Result<Vec<Approxim
                 }
                 Approximation::StampPose => (truth.clone(), standing.clone()),
                 Approximation::Deskewed => {
-                    let (moved, points) = deskewed(sensor, pose, truth, &motion)?;
-                    (points, ranges(&moved, &in_the_middle(sensor, pose, &motion)?, None)?)
+                    let (moved, points) = deskewed(sensor, truth, &motion)?;
+                    let mut there = ranges(&moved, &in_the_middle(sensor, pose, &motion)?, None)?;
+                    // Rays without a point have no place to be compared at.
+                    let missing = there.iter_mut().zip(&points).filter(|(_, point)| !point.is_finite());
+                    missing.for_each(|(range, _)| *range = f32::NAN);
+                    (points, there)
                 }
                 Approximation::EvenGrid => (truth.clone(), ranges(&even_grid(sensor)?, pose, None)?),
                 Approximation::OneCentre => (truth.clone(), ranges(&one_centre(sensor)?, pose, None)?),
@@ -194,29 +198,14 @@ fn in_the_middle(sensor: &Sensor, pose: &Pose, motion: &ScanMotion) -> Result<Po
     motion.sensor_at(sensor, pose, (first + last) / 2.0)
 }
 
-/// Rays from the middle of the scan through the points of a moving scan, and the ranges of these points there.
-fn deskewed(sensor: &Sensor, pose: &Pose, ranges: &[f32], motion: &ScanMotion) -> Result<(Sensor, Vec<f32>)> {
-    let (width, height) = (sensor.width(), sensor.height());
-    let to_middle = in_the_middle(sensor, pose, motion)?.inverse();
-    let (mut rays, mut moved) = (Vec::with_capacity(ranges.len()), Vec::with_capacity(ranges.len()));
-    for (column, row) in (0..height).flat_map(|row| (0..width).map(move |column| (column, row))) {
-        let range = ranges[rays.len()];
-        let Some(ray) = sensor.ray(column, row).filter(|_| range.is_finite()) else {
-            rays.push(DVec3::NAN);
-            moved.push(f32::NAN);
-            continue;
-        };
-        let origin = sensor.origin(column, row);
-        let measured_at = motion.sensor_at(sensor, pose, sensor.seconds_after_stamp(column, row))?;
-        let p_in_sensor = origin + sensor.body_from_image() * ray * f64::from(range);
-        let ray = to_middle.transform_point(measured_at.transform_point(p_in_sensor)) - origin;
-        moved.push(ray.length() as f32);
-        rays.push(ray);
-    }
-    let origins = (0..height).flat_map(|row| (0..width).map(move |column| sensor.origin(column, row))).collect();
-    let table = RayTable::new(width, height, rays)?.with_origins(origins)?;
-    // Ranges that cross a limit of the sensor on the way to the middle are no errors.
-    Ok((Sensor::new(still(sensor, Geometry::Rays(table)).with_limits(0.0, f64::INFINITY))?, moved))
+/// The points of a moving scan as localization and updates take them: from one point in the middle of the scan, where the
+/// sensor gets rays through them, and their ranges there.
+fn deskewed(sensor: &Sensor, ranges: &[f32], motion: &ScanMotion) -> Result<(Sensor, Vec<f32>)> {
+    let frame = Frame::new(0.0, sensor.clone(), Measurement::Range(ranges.to_vec()))?;
+    let moving = frame.with_scan_motion(motion.clone());
+    let still = moving.at_one_moment()?.frame;
+    // Ranges that cross a limit of the sensor on the way to the middle are not errors.
+    Ok((Sensor::new(still.sensor().spec().clone().with_limits(0.0, f64::INFINITY))?, still.ranges().to_vec()))
 }
 
 /// The specification of a sensor that measures other rays, all at once.
@@ -354,7 +343,7 @@ mod tests {
         let mut predictor = Predictor::new(Options::new(Backend::Cpu)).unwrap();
         let scene = scene();
         let truth = predicted(&mut predictor, &scene.world, &sensor, &Pose::IDENTITY, Some(&drive(SPEED))).unwrap();
-        let (rays, moved) = deskewed(&sensor, &Pose::IDENTITY, &truth, &drive(-SPEED)).unwrap();
+        let (rays, moved) = deskewed(&sensor, &truth, &drive(-SPEED)).unwrap();
         let middle = in_the_middle(&sensor, &Pose::IDENTITY, &drive(SPEED)).unwrap();
         let simple = predicted(&mut predictor, &scene.world, &rays, &middle, None).unwrap();
         let off: Vec<f64> = differences(&moved, &simple).iter().map(|e| (e * 100.0).round()).collect();
