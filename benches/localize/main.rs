@@ -6,6 +6,7 @@
 
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
+mod cases;
 mod changed;
 mod drives;
 mod scans;

@@ -5,8 +5,8 @@ use glam::DVec3;
 use presight_model::environment::Environment;
 use presight_update::{Finding, FindingKind, SiteFindings};
 
-/// The findings on `/presight/findings`: boxes, red around what is gone, blue around what moved, with an arrow, green
-/// around what is new, and yellow around what is doubtful, each with its sentence.
+/// The findings on `/presight/findings`: boxes with their sentences, red around objects that are gone, blue around moved
+/// objects, with an arrow, green around new objects, and yellow around doubtful ones.
 pub fn findings(findings: &SiteFindings, environment: &Environment, origin: &MessageOrigin) -> Record {
     origin.markers("/presight/findings", &origin.map, markers(findings, environment))
 }

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 
 const RANGE_MAX: f32 = 12.0;
 
-/// What is wrong with a log.
+/// A fault of a log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
     /// This part of the rays without a detection is written as the maximum range.

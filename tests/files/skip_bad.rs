@@ -88,7 +88,7 @@ fn a_stamp_out_of_order_leaves_the_others() {
     }
 }
 
-/// A log of nothing but bad lines is no empty log, and the notice on a long list of faults is short.
+/// A log of bad lines only is an error, not an empty log, and the notice on a long list of faults is short.
 #[test]
 fn many_bad_lines_are_counted() {
     let (_folder, path) = write(&log(&["{", "{"]));

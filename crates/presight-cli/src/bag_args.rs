@@ -44,7 +44,7 @@ impl LogArgs {
     /// Opens a log.
     ///
     /// # Errors
-    /// As [`LogFrames::open_with`], and those of [`BagArgs::options`].
+    /// The errors of [`LogFrames::open_with`] and of [`BagArgs::options`].
     pub fn open(&self, log: &Path, sensor: Option<&Sensor>, noise: &OdometryNoise) -> Result<LogFrames> {
         let bag = self.bag.options()?;
         match self.skip_bad {

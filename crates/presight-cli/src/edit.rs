@@ -57,7 +57,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE.layer.json")]
     layer: Option<PathBuf>,
 
-    /// Show what the sensor measured beside the predicted image: an EXR file, or frame INDEX of a log, from 0
+    /// Show a measured image next to the predicted one: an EXR file, or frame INDEX of a log, from 0
     #[arg(long, value_name = "FILE.exr|LOG#INDEX")]
     measured: Option<String>,
 

@@ -148,7 +148,7 @@ fn write<const N: usize>(folder: &Path, names: [&str; N], texts: [String; N]) ->
     Ok(())
 }
 
-/// The advice for each sensor, and what it costs to take the `given` lidars for simpler ones.
+/// The advice for each sensor, and the cost of predicting the `given` lidars as simpler ones.
 fn summary(folder: &Path, findings: &Findings, given: &[Sensor]) -> impl Iterator<Item = String> {
     let advice = findings.findings.iter().map(|f| f.advice.clone());
     let costs = findings.approximations.iter().filter(|cost| given.iter().any(|s| s.spec().name == cost.sensor));

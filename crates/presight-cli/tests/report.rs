@@ -77,8 +77,8 @@ fn a_quick_study_writes_its_results() {
     check_ways(folder.path(), &json["findings"][0]["notes"]);
 }
 
-/// Checks what simpler lidars cost: of three presets with beam tables five approximations, of the pattern three. Points
-/// put right by the true motion are wrong at edges only, far less often than those that are not.
+/// Checks the costs of simpler lidars: five approximations for each of three presets with beam tables, and three for the
+/// pattern. Points moved by the true motion are wrong at edges only, far less often than points as sensed.
 fn check_approximations(folder: &Path, costs: &serde_json::Value) {
     let costs = costs.as_array().unwrap();
     assert_eq!(costs.len(), 18);

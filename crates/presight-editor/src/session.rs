@@ -28,7 +28,7 @@ pub struct SessionOptions {
     pub layer: Option<PathBuf>,
     /// The folder in which a new layer is written; empty: the current one.
     pub folder: PathBuf,
-    /// A measurement of the sensor, shown beside the predicted image.
+    /// A measurement of the sensor, shown next to the predicted image.
     pub measured: Option<Frame>,
     /// The engine.
     pub engine: Options,

@@ -28,7 +28,7 @@ fn scans_of_every_container_are_the_same() {
     assert!(scans.iter().all(|s| text(s) == text(&scans[0])));
 }
 
-/// Recorders compress files as a whole by `--compression-mode file`: the same messages, and nothing beside the bag.
+/// Recorders compress files as a whole by `--compression-mode file`: the messages are the same, and no file is left next to the bag.
 #[test]
 fn compressed_files_hold_the_same() {
     let scans = |bag: &Bag| -> Vec<Vec<u8>> {

@@ -27,7 +27,7 @@ enum Person {
     Walks { from: DVec3, direction: DVec3, ahead: f64 },
     /// Stays at this distance ahead of the robot, metres.
     Before(f64),
-    /// Walks beside the robot, at this place from it in the world's axes, metres.
+    /// Walks with the robot at this offset from it, along the world's axes, metres.
     Along(DVec3),
 }
 

@@ -74,8 +74,8 @@ pub fn changed(map: &Environment, shares: Shares, route: &Route, seed: u64) -> (
     (real, counts)
 }
 
-/// The environment with this share of its walls moved by 0.1 to 0.3 m: upright objects that are no furniture, and not the whole
-/// building.
+/// The environment with this share of its walls moved by 0.1 to 0.3 m. A wall is an object over 1 m high that is larger than
+/// furniture and shorter than half of the building.
 pub fn with_moved_walls(map: &Environment, share: f64, seed: u64) -> Environment {
     let (mut random, mut real, all) = (Random(seed ^ 0x3a11), map.clone(), map.bounds());
     let size = all.max - all.min;

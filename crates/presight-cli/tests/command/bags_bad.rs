@@ -266,7 +266,7 @@ fn the_output_is_not_the_input() {
     assert_eq!(fs::read(place.path("a.mcap")).unwrap(), before);
 }
 
-/// Every flipped byte is told or harmless: no panic, and one line.
+/// Each flipped byte is reported in one line or harmless.
 #[test]
 fn flipped_bytes_are_told() {
     let place = Place::new();

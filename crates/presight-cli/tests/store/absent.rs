@@ -18,7 +18,7 @@ const WAY: &str = r#"{"polyline_in_robot": [[0.3, 0], [5.5, 0]], "half_width": 0
 const LOG: &str = "../log/scans.jsonl --sensor ../log/sensor.toml --map hall.presight";
 const START: &str = "--init=-2.85,-0.5,0,0,0,0";
 
-/// The commands that read a model, and the files that they write; without a file, what they print counts.
+/// The commands that read a model, each with the file that it writes; an empty name compares the printed text.
 fn commands() -> Vec<(String, &'static str)> {
     let predict = "predict hall.presight --pose=-3,-0.5,0.5,0,0,0 --sensor";
     vec![

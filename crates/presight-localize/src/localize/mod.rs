@@ -55,7 +55,7 @@ pub enum Phase {
     Unknown,
     /// Several places may explain the frames: [`Step::candidates`].
     Candidates,
-    /// One pose is followed, and no frame has proven it yet, or no longer: [`Step::reason`] says what is missing.
+    /// One pose is followed without sufficient evidence; [`Step::reason`] names the missing evidence.
     Kept,
     /// One pose is followed and proven: it is wrong at most as often as [`ErrorRates::wrong`] allows.
     Tracking,

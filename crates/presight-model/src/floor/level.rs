@@ -38,7 +38,7 @@ struct Component {
     highest: f64,
     /// Number of cells and sum of heights, by bin.
     bins: HashMap<i64, (usize, f64)>,
-    /// The bin of the latest cells, which mostly follow in one bin, and what they add to it.
+    /// The bin of the latest cells with their number and sum of heights. Neighbours mostly share a bin.
     latest: (i64, (usize, f64)),
 }
 

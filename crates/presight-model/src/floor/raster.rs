@@ -103,7 +103,7 @@ impl GridFrame {
         let (low, high) = (column as f64 * self.cell - TOUCH, (column + 1) as f64 * self.cell + TOUCH);
         let mut range = (f64::INFINITY, f64::NEG_INFINITY);
         let mut add = |z: f64| range = (range.0.min(z), range.1.max(z));
-        // The corners of the part in the column: those of the strip, and those where its sides leave the column.
+        // The corners of the part in the column: corners of the strip, and points where its sides leave the column.
         for (k, p) in strip.iter().enumerate() {
             let q = strip[(k + 1) % strip.len()];
             if low <= p.x && p.x <= high {

@@ -87,8 +87,8 @@ impl World {
         &self.index
     }
 
-    /// Object and polygon of the present polygons whose box meets a region: without those that are marked as absent for
-    /// a sensor class; without a class, as absent for all sensors. `found` is memory that queries share.
+    /// Object and polygon of each present polygon whose box meets a region. A polygon that is marked as absent for the
+    /// sensor class, or without a class for all sensors, is left out. `found` is memory that queries share.
     #[doc(hidden)]
     pub fn polygons_in<'a>(
         &'a self,

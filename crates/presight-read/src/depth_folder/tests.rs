@@ -79,7 +79,7 @@ fn written_cameras_and_poses_are_read_again() {
     assert!(camera_json(&crate::preset("laser-scanner").unwrap()).is_err());
 }
 
-/// An image that is cut, one that is missing, and a line of the odometry that is no pose.
+/// A cut image, a missing image, and a line of the odometry that is not a pose.
 #[test]
 fn bad_images_are_left_out_and_named() {
     use crate::log::{BagOptions, Frames};

@@ -116,8 +116,8 @@ impl Frames {
     /// As [`Frames::open_with`], without frames that cannot be read and frames whose time falls. [`Frames::notices`]
     /// counts and names them at the end of the log. If no frame is left, the first fault is the last item.
     ///
-    /// Of two frames in the wrong order, the later one in the log is left out if the frame behind it is after both, and
-    /// the earlier one otherwise. In a bag it is the later one.
+    /// If the times of two neighbours fall, the second one is left out where the third is after both, and the first one
+    /// otherwise. In a bag it is always the second one.
     ///
     /// # Errors
     /// As [`Frames::open_with`], for a log without a readable header and for a folder without a readable camera.

@@ -27,7 +27,7 @@ pub(super) fn container_in(file: &Path) -> Result<Container> {
     container_of_bytes(&bytes).map_err(|e| e.in_file(file))
 }
 
-/// The content of a compressed file, unpacked as it is read: its memory is that of the window, at most 128 MiB.
+/// Unpacks a compressed file during reading. The memory is the window of the compression, at most 128 MiB.
 pub(super) fn unpacking(file: &Path) -> Result<impl Read + Send + use<>> {
     let opened = File::open(file).map_err(|e| Error::io(file, "open the bag", e))?;
     zstd::stream::read::Decoder::with_buffer(BufReader::new(opened)).map_err(|e| damaged(&e).in_file(file))

@@ -1,4 +1,4 @@
-//! What it costs to take a lidar for a simpler one: one pose for a scan, an even grid for its beams, one centre for its
+//! The cost of predicting a lidar as a simpler one: one pose for a scan, an even grid for its beams, one centre for its
 //! origins.
 
 use super::setup::Scene;
@@ -44,7 +44,7 @@ pub enum Approximation {
 impl Approximation {
     const ALL: [Self; 5] = [Self::MiddlePose, Self::StampPose, Self::Deskewed, Self::EvenGrid, Self::OneCentre];
 
-    /// What is taken for what.
+    /// The description in texts and tables.
     fn description(self) -> &'static str {
         match self {
             Self::MiddlePose => "one pose, in the middle of the scan",
@@ -88,7 +88,7 @@ pub struct ApproximationCost {
     pub scene: String,
     /// Sensor.
     pub sensor: String,
-    /// What is taken for what.
+    /// The simpler sensor or motion.
     pub approximation: Approximation,
     /// Number of rays.
     pub rays: usize,

@@ -8,7 +8,7 @@
 //!
 //! `path` lists the paths, and `how` describes their flags. `errors` compares images, `features` features, and
 //! `regions` regions of interest. `timing` measures times, and `advice` recommends paths. `approximations`
-//! measures what it costs to take a lidar for a simpler one.
+//! measures the cost of predicting a lidar as a simpler one.
 
 mod advice;
 mod approximations;

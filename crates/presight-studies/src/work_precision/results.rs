@@ -115,7 +115,7 @@ pub struct Finding {
 pub struct Findings {
     /// Results by scene, then by sensor.
     pub findings: Vec<Finding>,
-    /// What it costs to take lidars for simpler ones, by scene, then by sensor.
+    /// The cost of predicting lidars as simpler ones, by scene, then by sensor.
     pub approximations: Vec<ApproximationCost>,
     /// Adapter and driver, or why there is none.
     pub adapter: String,
