@@ -268,7 +268,7 @@ mod tests {
                 assert!(flags.is_none_or(|flags| examples < flags), "{path}: {long}");
                 assert!(short.contains("Examples and all flags:"), "{path}");
             }
-            assert!(short.lines().count() <= 70, "{path}: {} lines: {short}", short.lines().count());
+            assert!(short.lines().count() <= 60, "{path}: {} lines: {short}", short.lines().count());
         });
     }
 }
